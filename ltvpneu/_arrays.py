@@ -1,0 +1,93 @@
+"""The one place that checks numbers and arrays: shapes, finiteness, signs, and that nobody writes into a value."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+def finite_array(name: str, values: ArrayLike, shape: Sequence[int | None] | None = None) -> FloatArray:
+    """Return a read-only float64 copy, after checking its shape and that every entry is finite.
+
+    Parameters
+    ----------
+    name : str
+        What the caller calls it; stands first in the error.
+    values : array_like
+    shape : sequence of (int or None), optional
+        Expected shape; None matches any length.
+
+    Raises
+    ------
+    ValueError
+        Ragged, of another shape, or with an entry that is not finite.
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected numbers in a regular array, found {values!r} ({error})") from None
+    if shape is not None:
+        wrong = array.ndim != len(shape) or any(
+            want is not None and have != want for have, want in zip(array.shape, shape, strict=False)
+        )
+        if wrong:
+            wanted = "(" + ", ".join("any" if size is None else str(size) for size in shape) + ")"
+            raise ValueError(f"{name}: found shape {array.shape}, expected {wanted}")
+    finite = np.isfinite(array)
+    if not finite.all():
+        where = tuple(int(i) for i in np.argwhere(~finite)[0])
+        raise ValueError(f"{name}: found {array[where]} at index {where}, expected finite numbers")
+    array.setflags(write=False)
+    return array
+
+
+def read_only(array: NDArray[np.float64]) -> FloatArray:
+    """Return the same array, closed to writing."""
+    array.setflags(write=False)
+    return array
+
+
+def finite(name: str, value: float, unit: str = "") -> float:
+    """Return the value as a float if it is a finite number."""
+    number = _number(name, value)
+    if not math.isfinite(number):
+        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number{_of(unit)}")
+    return number
+
+
+def positive(name: str, value: float, unit: str = "") -> float:
+    """Return the value as a float if it is finite and above zero."""
+    number = _number(name, value)
+    if not (math.isfinite(number) and number > 0):
+        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number above zero{_of(unit)}")
+    return number
+
+
+def not_negative(name: str, value: float, unit: str = "") -> float:
+    """Return the value as a float if it is finite and not below zero."""
+    number = _number(name, value)
+    if not (math.isfinite(number) and number >= 0):
+        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number, zero or more{_of(unit)}")
+    return number
+
+
+def whole(name: str, value: int, least: int = 1) -> int:
+    """Return the value if it is a whole number, at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name}: found {value!r}, expected a whole number, {least} or more")
+    return int(value)
+
+
+def _number(name: str, value: float) -> float:
+    if isinstance(value, bool | str) or not np.isscalar(value) or isinstance(value, complex):
+        raise TypeError(f"{name}: found {value!r} of type {type(value).__name__}, expected a number")
+    return float(value)
+
+
+def _of(unit: str) -> str:
+    return f" {unit}" if unit else ""

@@ -1,0 +1,87 @@
+"""Outcomes that a caller may catch by name.
+
+Wrong input raises `ValueError` or `TypeError`; the classes here are for questions that were well put and have no
+answer, or not the one asked for. Each carries its figures as attributes.
+"""
+
+from typing import Any
+
+
+class LtvpneuError(Exception):
+    """Base of every outcome in this module."""
+
+
+class MachineFileError(LtvpneuError, ValueError):
+    """A machine file that cannot be read; the message names the file, the key and what was expected."""
+
+
+class NoOrbitError(LtvpneuError):
+    """No periodic steady state exists: every period drifts by `drift`.
+
+    Attributes
+    ----------
+    drift : ndarray, shape (n_states,)
+        What the state gains in each period along the directions that do not return.
+    """
+
+    def __init__(self, message: str, *, drift: Any) -> None:
+        super().__init__(message)
+        self.drift = drift
+
+
+class NonUniqueOrbitError(LtvpneuError):
+    """A whole family of periodic steady states exists: a Floquet multiplier equals one.
+
+    Attributes
+    ----------
+    least_norm : ndarray, shape (n_states,)
+        The initial state nearest the origin among all periodic ones.
+    free_directions : ndarray, shape (n_states, n_free)
+        Unit vectors along which the initial state may be moved.
+    """
+
+    def __init__(self, message: str, *, least_norm: Any, free_directions: Any) -> None:
+        super().__init__(message)
+        self.least_norm = least_norm
+        self.free_directions = free_directions
+
+
+class NotSettledError(LtvpneuError):
+    """A nonlinear simulation did not settle on a periodic orbit.
+
+    Attributes
+    ----------
+    residual : float
+        Largest scaled change of the state over the best-matching number of valve periods [-].
+    n_simulated : int
+        Valve periods simulated.
+    last_state : ndarray, shape (n_states,)
+        The state at the end; not periodic.
+    """
+
+    def __init__(self, message: str, *, residual: float, n_simulated: int, last_state: Any) -> None:
+        super().__init__(message)
+        self.residual = residual
+        self.n_simulated = n_simulated
+        self.last_state = last_state
+
+
+class IntegrationError(LtvpneuError):
+    """The nonlinear equations could not be integrated on.
+
+    Attributes
+    ----------
+    time : float
+        When it stopped [s].
+    state : ndarray, shape (n_states,)
+        Where it stopped.
+    """
+
+    def __init__(self, message: str, *, time: float, state: Any) -> None:
+        super().__init__(message)
+        self.time = time
+        self.state = state
+
+
+class ChamberVolumeError(IntegrationError):
+    """The piston swept a chamber's volume down to zero."""

@@ -1,0 +1,1 @@
+"""What people see: machine files, reports, pictures, the command line."""

@@ -1,0 +1,214 @@
+"""Machines from TOML files with units, and the bundled ones."""
+
+import difflib
+import tomllib
+from collections.abc import Callable, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+from ltvpneu.errors import MachineFileError
+from ltvpneu.face.units import Dimension, parse
+from ltvpneu.models.machine import FlowPath, Machine
+from ltvpneu.physics.cylinder import Cylinder
+from ltvpneu.physics.gas import Gas
+from ltvpneu.physics.load import Load
+from ltvpneu.physics.valve import OnOffValve, Port, RotaryValve, Window
+
+Kind = Dimension | type
+T = TypeVar("T")
+
+
+class Key(NamedTuple):
+    """What a key of a table holds: a dimension, `str`, `bool`, `dict` or `list`; and whether it may be left out."""
+
+    kind: Kind
+    required: bool = False
+
+
+_MACHINE = {
+    "name": Key(str, True), "source": Key(str), "supply_pressure": Key("pressure", True),
+    "exhaust_pressure": Key("pressure", True), "collapse": Key(str), "gas": Key(dict), "cylinder": Key(dict, True),
+    "load": Key(dict, True), "valve": Key(dict, True), "flow_paths": Key(list),
+}  # fmt: skip
+_GAS = {
+    "heat_capacity_ratio": Key("number"), "specific_gas_constant": Key("gas constant"), "temperature": Key("temperature")
+}  # fmt: skip
+_CYLINDER = {
+    "piston_area_1": Key("area", True), "piston_area_2": Key("area", True), "dead_volume_1": Key("volume"),
+    "dead_volume_2": Key("volume"), "seal_friction_area": Key("area"), "polytropic_exponent_1": Key("number"),
+    "polytropic_exponent_2": Key("number"), "lower_stop": Key("length"), "upper_stop": Key("length"),
+}  # fmt: skip
+_LOAD = {
+    "mass": Key("mass", True), "spring_stiffness": Key("stiffness"), "viscous_damping": Key("damping"),
+    "dry_friction": Key("force"), "stiction": Key("force"), "force": Key("force"),
+}  # fmt: skip
+_ROTARY = {"type": Key(str, True), "offset_angle": Key("angle"), "duty": Key("number"), "ports": Key(list, True)}
+_ON_OFF = {"type": Key(str, True), "duty": Key("number"), "ramp": Key("angle")}
+_PORT = {
+    "way": Key(str, True), "area": Key("area", True), "discharge_coefficient": Key("number", True),
+    "opens_at": Key("angle", True), "open_for": Key("angle", True), "ramp": Key("angle"), "volume": Key(str),
+    "turns_with_offset": Key(bool), "phase": Key(str),
+}  # fmt: skip
+_FLOW_PATH = {
+    "source": Key(str, True), "chamber": Key(str, True), "area": Key("area", True),
+    "discharge_coefficient": Key("number"), "opening": Key(str), "opens_at": Key("angle"), "open_for": Key("angle"),
+    "ramp": Key("angle"),
+}  # fmt: skip
+
+
+def bundled_machines() -> tuple[str, ...]:
+    """Return the names of the machines that come with the package."""
+    folder = resources.files("ltvpneu") / "machines"
+    return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
+
+
+def load_machine(source: str | Path) -> Machine:
+    """Return a machine: a bundled one by its name, or one from a TOML file by its path.
+
+    Parameters
+    ----------
+    source : str or Path
+        Such as "kunt_singh_1990" or "rig.toml".
+
+    Raises
+    ------
+    MachineFileError
+        No such file or bundled machine; unreadable; an unknown, missing or impossible entry. The message names the file,
+        the key, what was found and what was expected.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> lp.load_machine("kunt_singh_1990").supply_pressure
+    410000.0
+    """
+    path = Path(source)
+    if path.suffix == ".toml" or path.is_file():
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise MachineFileError(f"{path}: cannot be read ({error}), expected a machine file") from error
+        return parse_machine(text, path.name)
+    name = str(source)
+    if name not in bundled_machines():
+        raise MachineFileError(
+            f"{name}: found neither a file nor a bundled machine{_nearest(name, bundled_machines())}; bundled: "
+            f"{', '.join(bundled_machines())}; a file's name ends in .toml"
+        )
+    text = (resources.files("ltvpneu") / "machines" / f"{name}.toml").read_text(encoding="utf-8")
+    return parse_machine(text, f"{name}.toml")
+
+
+def parse_machine(text: str, file: str) -> Machine:
+    """Return the machine that a TOML text describes; `file` names it in errors."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise MachineFileError(f"{file}: not valid TOML: {error}") from error
+    top = _table(data, _MACHINE, file, "")
+    top.pop("source", None)
+    gas = _build(Gas, _table(top.pop("gas", {}), _GAS, file, "gas"), file, "gas")
+    found = _table(top.pop("cylinder"), _CYLINDER, file, "cylinder")
+    cylinder = _build(Cylinder, {"dead_volume_1": None, **found}, file, "cylinder")
+    load = _build(Load, _table(top.pop("load"), _LOAD, file, "load"), file, "load")
+    valve = _valve(top.pop("valve"), file)
+    paths = tuple(
+        _flow_path(entry, file, f"flow_paths[{i}]") for i, entry in enumerate(top.pop("flow_paths", []))
+    )
+    return _build(
+        Machine, {**top, "gas": gas, "cylinder": cylinder, "load": load, "valve": valve, "flow_paths": paths}, file, ""
+    )
+
+
+def _valve(data: dict[str, Any], file: str) -> RotaryValve | OnOffValve:
+    kind = data.get("type")
+    if kind == "on_off":
+        found = _table(data, _ON_OFF, file, "valve")
+        del found["type"]
+        return _build(OnOffValve, found, file, "valve")
+    if kind != "rotary":
+        raise MachineFileError(f'{file}: valve.type: found {kind!r}, expected "rotary" or "on_off"')
+    found = _table(data, _ROTARY, file, "valve")
+    del found["type"]
+    found["ports"] = tuple(_port(entry, file, f"valve.ports[{i}]") for i, entry in enumerate(found["ports"]))
+    return _build(RotaryValve, found, file, "valve")
+
+
+def _port(data: object, file: str, where: str) -> Port:
+    found = _table(data, _PORT, file, where)
+    found["window"] = _window(found, file, where)
+    return _build(Port, found, file, where)
+
+
+def _flow_path(data: object, file: str, where: str) -> FlowPath:
+    found = _table(data, _FLOW_PATH, file, where)
+    if "opens_at" in found or "open_for" in found:
+        for key in ("opens_at", "open_for"):
+            if key not in found:
+                raise MachineFileError(f"{file}: {where}.{key}: missing, expected an angle beside the other of the window")
+        if "opening" in found:
+            raise MachineFileError(f"{file}: {where}.opening: found it beside opens_at and open_for, expected one or the other")
+        found["opening"] = _window(found, file, where)
+    elif "ramp" in found:
+        raise MachineFileError(f"{file}: {where}.ramp: found it without opens_at and open_for, expected all three")
+    return _build(FlowPath, found, file, where)
+
+
+def _window(found: dict[str, Any], file: str, where: str) -> Window:
+    """Take the three keys of a window out of a table."""
+    names = {"opens_at": "start", "open_for": "width", "ramp": "ramp"}
+    values = {name: found.pop(key) for key, name in names.items() if key in found}
+    return _build(Window, values, file, where, {name: key for key, name in names.items()})
+
+
+def _table(data: object, keys: Mapping[str, Key], file: str, where: str) -> dict[str, Any]:
+    """Return a table's entries in SI units, after checking that all are known, complete and of the right kind."""
+    prefix = f"{where}." if where else ""
+    if not isinstance(data, dict):
+        raise MachineFileError(f"{file}: {where}: found {data!r}, expected a table")
+    for key in data:
+        if key not in keys:
+            raise MachineFileError(
+                f"{file}: {prefix}{key}: unknown key{_nearest(key, tuple(keys))}; expected {', '.join(keys)}"
+            )
+    for key, spec in keys.items():
+        if spec.required and key not in data:
+            close = _nearest(key, tuple(k for k in data if k not in keys))
+            raise MachineFileError(f"{file}: {prefix}{key}: missing{close}, expected {_kind_name(spec.kind)}")
+    return {key: _entry(value, keys[key].kind, file, f"{prefix}{key}") for key, value in data.items()}
+
+
+def _entry(value: object, kind: Kind, file: str, where: str) -> Any:
+    if isinstance(kind, type):
+        if not isinstance(value, kind):
+            raise MachineFileError(f"{file}: {where}: found {value!r}, expected {_kind_name(kind)}")
+        return value
+    try:
+        return parse(value, kind)
+    except ValueError as error:
+        raise MachineFileError(f"{file}: {where}: {error}") from None
+
+
+def _build(
+    make: Callable[..., T], values: dict[str, Any], file: str, where: str, keys: Mapping[str, str] | None = None
+) -> T:
+    """Build a checked value; its complaint, which begins with the field, gets the file and the table before it."""
+    try:
+        return make(**values)
+    except (ValueError, TypeError) as error:
+        message = str(error)
+        field, colon, rest = message.partition(":")
+        if keys and field in keys:
+            message = keys[field] + colon + rest
+        raise MachineFileError(f"{file}: {where + '.' if where else ''}{message}") from error
+
+
+def _nearest(name: str, known: tuple[str, ...]) -> str:
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f", did you mean {close[0]!r}?" if close else ""
+
+
+def _kind_name(kind: Kind) -> str:
+    names: dict[Kind, str] = {str: "a string", bool: "true or false", dict: "a table", list: "an array of tables"}
+    return names.get(kind, f"a quantity: {kind}")

@@ -1,0 +1,35 @@
+"""`plot`: one function that draws any result. matplotlib is loaded on first use."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def plot(result: object) -> "Figure":
+    """Draw a result and return the figure.
+
+    Parameters
+    ----------
+    result
+        A `Machine` (its valve areas), `LtvModel` (areas and staircase), `PeriodicSystem` (its multipliers), `Floquet`
+        (multipliers on the unit circle), `Orbit` or a dict of label to `Orbit` (cycles, overlaid), `AmplitudeResponse`
+        (amplitude over frequency), or a time or frequency response of python-control.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    TypeError
+        No picture is known for what was given.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> figure = lp.plot(lp.load_machine("kunt_singh_1990"))
+    """
+    from ltvpneu.face import pictures
+
+    return pictures.draw(result)

@@ -1,0 +1,106 @@
+"""Quantities with units, as they stand in a machine file: "0.41 MPa", "8.2 cm^3", "20 degC", "3.1 bar(g)".
+
+Plain numbers are SI. Pressures are absolute; the suffix (g) marks a gauge pressure, over one standard atmosphere.
+"""
+
+import re
+from typing import Literal
+
+ATMOSPHERE = 101325.0
+"""What a gauge pressure is counted from [Pa]."""
+
+INCH, POUND_FORCE = 0.0254, 4.4482216152605
+
+Dimension = Literal[
+    "pressure", "length", "area", "volume", "mass", "force", "stiffness", "damping", "temperature", "angle",
+    "gas constant", "number",
+]  # fmt: skip
+
+_UNITS: dict[Dimension, dict[str, float]] = {
+    "pressure": {
+        "Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 1e2, "atm": ATMOSPHERE,
+        "psi": POUND_FORCE / INCH**2,
+    },
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": INCH},
+    "area": {"m^2": 1.0, "cm^2": 1e-4, "mm^2": 1e-6, "in^2": INCH**2},
+    "volume": {
+        "m^3": 1.0, "dm^3": 1e-3, "cm^3": 1e-6, "mm^3": 1e-9, "l": 1e-3, "ml": 1e-6, "in^3": INCH**3
+    },
+    "mass": {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": 0.45359237},
+    "force": {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": POUND_FORCE},
+    "stiffness": {"N/m": 1.0, "kN/m": 1e3, "N/mm": 1e3, "N/cm": 1e2, "lbf/in": POUND_FORCE / INCH},
+    "damping": {
+        "N s/m": 1.0, "kN s/m": 1e3, "N s/mm": 1e3, "kg/s": 1.0, "lbf s/in": POUND_FORCE / INCH
+    },
+    "temperature": {"K": 1.0, "degC": 1.0, "degF": 5 / 9},
+    "angle": {"rad": 1.0, "deg": 0.017453292519943295, "turn": 6.283185307179586},
+    "gas constant": {"J/(kg K)": 1.0, "kJ/(kg K)": 1e3},
+    "number": {"": 1.0, "%": 1e-2},
+}  # fmt: skip
+_ZERO_POINTS = {"K": 0.0, "degC": 273.15, "degF": 459.67 * 5 / 9}
+_EXAMPLES: dict[Dimension, str] = {
+    "pressure": "0.41 MPa", "length": "80 mm", "area": "16 mm^2", "volume": "8.2 cm^3", "mass": "1.75 kg",
+    "force": "26.6 N", "stiffness": "2.1 kN/m", "damping": "43.7 N s/m", "temperature": "20 degC", "angle": "180 deg",
+    "gas constant": "287.05 J/(kg K)", "number": "0.5",
+}  # fmt: skip
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*(.*?)\s*$")
+
+
+def parse(value: object, dimension: Dimension) -> float:
+    """Return a quantity of a machine file in SI units.
+
+    Parameters
+    ----------
+    value : int, float or str
+        A plain number is SI; a string is a number and a unit.
+    dimension : str
+        What it must be.
+
+    Raises
+    ------
+    ValueError
+        No number, no unit, an unknown unit, or one of another dimension.
+
+    Examples
+    --------
+    >>> round(parse("8.2 cm^3", "volume"), 9), parse("20 degC", "temperature"), parse("3.1 bar(g)", "pressure")
+    (8.2e-06, 293.15, 411325.0)
+    """
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    hint = f"expected {_a(dimension)}, such as {_EXAMPLES[dimension]!r} or a plain number in SI units"
+    if not isinstance(value, str):
+        raise ValueError(f"found {value!r}, {hint}")
+    match = _QUANTITY.match(value)
+    if match is None:
+        raise ValueError(f"found {value!r}, which does not begin with a number, {hint}")
+    number, unit = float(match[1]), _normal(match[2])
+    offset = 0.0
+    if unit.endswith("(g)") or unit in ("barg", "psig"):
+        unit, offset = (unit[:-3] if unit.endswith("(g)") else unit[:-1]), ATMOSPHERE
+    elif unit.endswith("(a)"):
+        unit = unit[:-3]
+    unit = unit.strip()
+    if unit == "" and dimension != "number":
+        raise ValueError(f"found {value!r} without a unit, {hint}")
+    if (offset or match[2].endswith("(a)")) and unit not in _UNITS["pressure"]:
+        raise ValueError(f"found {value!r}: only a pressure is gauge (g) or absolute (a); {hint}")
+    if unit in _UNITS[dimension]:
+        return number * _UNITS[dimension][unit] + offset + (_ZERO_POINTS[unit] if dimension == "temperature" else 0.0)
+    for other, units in _UNITS.items():
+        if unit in units:
+            raise ValueError(f"found {value!r}, {_a(other)}, {hint}")
+    raise ValueError(f"found {value!r} with the unknown unit {unit!r}, {hint}; known: {', '.join(_UNITS[dimension])}")
+
+
+def _normal(unit: str) -> str:
+    """Spell a unit as in the table: powers with ^, products with a space."""
+    unit = unit.replace("²", "^2").replace("³", "^3").replace("**", "^").replace("µ", "u").replace("°", "deg")
+    unit = re.sub(r"\s*[·*⋅]\s*", " ", unit)
+    unit = re.sub(r"(?<=[NJ])-(?=s|m)", " ", unit)
+    unit = re.sub(r"\s+\(([ga])\)$", r"(\1)", unit)
+    return re.sub(r"\s*/\s*", "/", unit)
+
+
+def _a(dimension: str) -> str:
+    return f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"

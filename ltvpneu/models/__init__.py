@@ -1,0 +1,1 @@
+"""Physics turned into systems: one machine, three models."""

@@ -1,0 +1,206 @@
+r"""Linearization of the machine's equations to G_m, B_m, f_m, eq. (8), and how a model of steps is put together.
+
+With source pressures and load force as inputs u, step m is z' = G_m z + B_m u + r_m, and f_m = B_m u + r_m. M_f is
+homogeneous of degree one in its two pressures, so alpha + beta pbar = (dM_f/dp_i) p_i: in isothermal chambers the paper's
+linearization needs no remainder, r_m = 0, and superposition holds in u. Errata E6, E7, E7b are proved in the tests against
+finite differences of the nonlinear right-hand side.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ltvpneu._arrays import FloatArray, finite_array, positive
+from ltvpneu.models.dynamics import state_rate, tangents
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.staircase import Staircase
+from ltvpneu.periodic.exponential import ExponentialTrajectory
+from ltvpneu.periodic.steady import steady_state
+from ltvpneu.periodic.system import PeriodicSystem
+
+Tangent = Literal["paper", "full"]
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Linearization:
+    """z' = A z + B u + r near one state of the machine, or a stack of these."""
+
+    A: FloatArray
+    """G, (..., n, n)"""
+    B: FloatArray
+    """Over supply pressure, exhaust pressure, load force, (..., n, 3)"""
+    r: FloatArray
+    """(..., n)"""
+    f: FloatArray
+    """Forcing B u + r at the machine's input levels, (..., n)"""
+
+
+def linearize(
+    machine: Machine, state: ArrayLike, *, angle: float | None = None, areas: ArrayLike | None = None,
+    tangent: Tangent = "paper",
+) -> Linearization:  # fmt: skip
+    """Return the machine's linear model near a state, eq. (8).
+
+    Parameters
+    ----------
+    machine : Machine
+    state : array_like, shape (n,)
+        Operating point [m, m/s, Pa].
+    angle : float, optional
+        Valve angle that sets the openings [rad]; just after it, where they jump. Default 0.
+    areas : array_like, shape (2, n_paths), optional
+        Effective areas of the first and second restriction of each connection [m^2], instead of an angle; infinite where
+        there is no second.
+    tangent : {"paper", "full"}
+        The paper's G (8b), whose pressure rows are those at rest and have no column for the position; or every derivative.
+        Dry friction is neglected.
+
+    Returns
+    -------
+    Linearization
+
+    Raises
+    ------
+    ValueError
+        A pressure equals that of a source which it is open to: the flow's slope is infinite there.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> machine = lp.load_machine("kunt_singh_1990")
+    >>> lp.linearize(machine, [0.05, 0.0, 2.5e5]).A.shape
+    (3, 3)
+    """
+    point = finite_array("state", state, (len(machine.states),))
+    if areas is None:
+        openings = areas_at(machine, 0.0 if angle is None else angle)
+    elif angle is not None:
+        raise ValueError("angle, areas: found both, expected one of them")
+    else:
+        openings = np.array(areas, dtype=np.float64)
+        if openings.shape != (2, len(machine.connections)) or np.isnan(openings).any() or (openings < 0).any():
+            raise ValueError(f"areas: found {openings.tolist()}, expected numbers >= 0 of shape (2, {len(machine.connections)})")
+    found = linearize_steps(machine, point[None], openings[None], tangent)
+    return Linearization(A=found.A[0], B=found.B[0], r=found.r[0], f=found.f[0])
+
+
+def areas_at(machine: Machine, angle: float) -> FloatArray:
+    """Return the effective areas at a valve angle [rad], shape (2, n_paths); infinite where there is no second."""
+    first = [connection.first.at(angle) for connection in machine.connections]
+    second = [np.inf if c.second is None else c.second.at(angle) for c in machine.connections]
+    return np.array([first, second])
+
+
+def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tangent: Tangent) -> Linearization:
+    """Return the linear models near one state per step, shapes (n_steps, n) and (n_steps, 2, n_paths)."""
+    if tangent not in ("paper", "full"):
+        raise ValueError(f'tangent: found {tangent!r}, expected "paper" or "full"')
+    full = tangent == "full"
+    arrays = machine.arrays
+    _check_domain(machine, states)
+    A, B = tangents(states, areas, arrays, full)
+    if not np.isfinite(A).all():
+        step = int(np.argwhere(~np.isfinite(A))[0][0])
+        where = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, states[step], strict=True))
+        raise ValueError(
+            f"operating point of step {step + 1}: found {where}, a pressure equal to that of a source it is open to, where the "
+            "slope of the flow is infinite; expected pressures apart from the sources'"
+        )
+    levels = machine.levels
+    isothermal = bool((arrays.chambers[:, 2] == 1.0).all())
+    r = np.zeros(states.shape)
+    if full or not isothermal:
+        for step, state in enumerate(states):
+            point = state.copy()
+            if not full:
+                point[1] = 0.0
+            rate = np.empty(point.size)
+            # In slip direction 0 dry friction has no sign and no part.
+            state_rate(point, areas[step], 0, arrays, rate)
+            r[step] = rate - A[step] @ point - B[step] @ levels
+    return Linearization(A=A, B=B, r=r, f=B @ levels + r)
+
+
+def _check_domain(machine: Machine, states: FloatArray) -> None:
+    chambers = machine.arrays.chambers
+    for step, state in enumerate(states):
+        for k, name in enumerate(machine.cylinder.chambers):
+            positive(f"operating point of step {step + 1}: volume of {name}", chambers[k, 0] + chambers[k, 1] * state[0], "m^3")
+            positive(f"operating point of step {step + 1}: {machine.states[2 + k]}", state[2 + k], "Pa")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class HeldBack:
+    """An operating point that was kept inside the range where the linearization means something."""
+
+    step: int
+    """Number of the step, from 0."""
+    state: str
+    asked: float
+    used: float
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LtvModel:
+    """A machine as a periodic linear system: what `ltv_model` and `lti_model` return."""
+
+    system: PeriodicSystem
+    machine: Machine
+    frequency: float
+    """[Hz]"""
+    operating_points: FloatArray
+    """State that each step is linearized about, shape (n_steps, n)."""
+    mode: str
+    """How the operating points were chosen."""
+    held_back: tuple[HeldBack, ...]
+    """Operating points kept inside their range."""
+    least_distance: float
+    """Relative distance kept from pressures where the flow's slope is infinite [-]; results depend on it."""
+    iterations: int
+    """Cycles computed to find the operating points."""
+
+    @cached_property
+    def residual(self) -> float:
+        """Largest difference between the operating pressures and the means of the model's own cycle over the steps [-].
+
+        Relative to the supply pressure. Zero would mean that the model is linearized about its own cycle.
+        """
+        trajectory = steady_state(self.system).trajectory
+        assert isinstance(trajectory, ExponentialTrajectory)
+        n = len(self.machine.states)
+        differences = trajectory.step_means()[:, 2:n] - self.operating_points[:, 2:]
+        return float(np.max(np.abs(differences))) / self.machine.supply_pressure
+
+
+def assemble(
+    machine: Machine, frequency: float, stairs: Staircase, linearization: Linearization, name: str
+) -> PeriodicSystem:
+    """Return the steps as a `PeriodicSystem` whose inputs are the source pressures and the load force."""
+    N, n = linearization.r.shape
+    outputs = np.broadcast_to(np.eye(n), (N, n, n))
+    return PeriodicSystem(
+        durations=np.diff(stairs.fractions) / frequency,
+        A=linearization.A,
+        B=linearization.B,
+        r=linearization.r,
+        C=outputs,
+        D=np.zeros((N, n, len(machine.inputs))),
+        q=np.zeros((N, n)),
+        levels=machine.levels,
+        states=machine.states,
+        inputs=machine.inputs,
+        outputs=machine.states,
+        name=name,
+    )
+
+
+def system_name(machine: Machine, kind: str) -> str:
+    """Return a name for the machine's system that python-control accepts."""
+    return "".join(c if c.isalnum() else "_" for c in f"{machine.name}_{kind}")
+

@@ -1,0 +1,79 @@
+r"""LTI model: the coefficients of G averaged over the turn at one operating point, the forcing kept periodic.
+
+Averaging G alone leaves a spurious forcing (G_m - Gavg) zbar, so the model is built about zbar:
+z' = Gavg z + f_m + (G_m - Gavg) zbar. The remainder of each step carries that term.
+"""
+
+import numpy as np
+
+from ltvpneu._arrays import not_negative, positive
+from ltvpneu.models.linearize import Linearization, LtvModel, assemble, linearize_steps, system_name
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.operating_points import LEAST_DISTANCE, held_inside, mean_state, quasi_static_states
+from ltvpneu.models.staircase import fine_staircase, staircase
+
+
+def lti_model(
+    machine: Machine,
+    frequency: float,
+    *,
+    n_steps: int | None = None,
+    about_operating_point: bool = True,
+    least_distance: float = LEAST_DISTANCE,
+) -> LtvModel:
+    """Return the LTI model: averaged coefficients about the mean quasi-static state, periodic forcing.
+
+    Parameters
+    ----------
+    machine : Machine
+    frequency : float
+        Switching frequency [Hz].
+    n_steps : int, optional
+        Steps of the forcing; by default as many as the openings have linear pieces.
+    about_operating_point : bool
+        Whether to add (G_m - Gavg) zbar to the forcing. Without it the averaging itself acts as a force.
+    least_distance : float
+        Relative distance kept from pressures where the slope of the flow is infinite [-].
+
+    Returns
+    -------
+    LtvModel
+        With the same A in every step.
+
+    Raises
+    ------
+    ValueError
+        No spring, frequency not above zero, or fewer steps than valve positions.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> orbit = lp.steady_state(lp.lti_model(lp.load_machine("kunt_singh_1990"), frequency=4.0).system)
+    >>> print(f"{1e3 * orbit.amplitude('position'):.0f} mm")
+    50 mm
+    """
+    positive("frequency", frequency, "Hz")
+    not_negative("least_distance", least_distance)
+    stairs = staircase(machine, machine.openings.fractions.size - 1 if n_steps is None else n_steps)
+    point = mean_state(machine, fine_staircase(machine))
+    asked = np.tile(point, (stairs.areas.shape[0], 1))
+    points, held_back = held_inside(
+        machine, stairs.areas, asked, quasi_static_states(machine, stairs.areas), least_distance
+    )
+    each = linearize_steps(machine, points, stairs.areas, "paper")
+    average = np.tensordot(np.diff(stairs.fractions), each.A, axes=1)
+    r = each.r
+    if about_operating_point:
+        r = r + np.einsum("mij,mj->mi", each.A - average, points)
+    A = np.broadcast_to(average, each.A.shape)
+    averaged = Linearization(A=A, B=each.B, r=r, f=each.B @ machine.levels + r)
+    return LtvModel(
+        system=assemble(machine, frequency, stairs, averaged, system_name(machine, "lti")),
+        machine=machine,
+        frequency=float(frequency),
+        operating_points=points,
+        mode="mean",
+        held_back=held_back,
+        least_distance=least_distance,
+        iterations=0,
+    )

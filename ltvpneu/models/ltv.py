@@ -1,0 +1,118 @@
+"""LTV model, eq. (8) on the staircase (10): a linear system on each step, about an operating point of its own."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltvpneu._arrays import FloatArray, finite_array, not_negative, positive
+from ltvpneu.models.linearize import LtvModel, Tangent, assemble, linearize_steps, system_name
+from ltvpneu.models.lti import lti_model
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.operating_points import LEAST_DISTANCE, held_inside, mean_state, quasi_static_states
+from ltvpneu.models.staircase import Staircase, fine_staircase, staircase
+from ltvpneu.periodic.exponential import ExponentialTrajectory
+from ltvpneu.periodic.steady import steady_state
+
+OperatingPoints = Literal["lti", "mean", "quasi-static", "quasi-static-steps"]
+MODES: tuple[OperatingPoints, ...] = ("lti", "mean", "quasi-static", "quasi-static-steps")
+
+
+def ltv_model(
+    machine: Machine,
+    frequency: float,
+    *,
+    n_steps: int = 2,
+    operating_points: OperatingPoints | NDArray[np.float64] = "lti",
+    position: Literal["constant", "variable"] = "constant",
+    tangent: Tangent = "paper",
+    least_distance: float = LEAST_DISTANCE,
+) -> LtvModel:
+    """Return the linear time-varying model of a machine.
+
+    Parameters
+    ----------
+    machine : Machine
+    frequency : float
+        Switching frequency [Hz].
+    n_steps : int
+        N_s, steps of the staircase over one turn; at least the number of valve positions.
+    operating_points : str or ndarray, shape (n_steps, n)
+        "lti": means over each step of the LTI model's cycle (17); "mean": its mean over the whole period (15);
+        "quasi-static": the mean over the turn of the quasi-static states (15)-(16); "quasi-static-steps": those states
+        themselves (16), in the wrong phase but at very low speed; or states [m, m/s, Pa], one row a step.
+    position : {"constant", "variable"}
+        Whether the position is held at its mean, as the paper found more accurate, or follows (17) too.
+    tangent : {"paper", "full"}
+        See `linearize`.
+    least_distance : float
+        Relative distance kept from pressures where the slope of the flow is infinite [-].
+
+    Returns
+    -------
+    LtvModel
+        Dry friction and stiction are neglected, as in the paper's section 6.
+
+    Raises
+    ------
+    ValueError
+        Arguments out of range, no spring where a quasi-static position is needed.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> model = lp.ltv_model(lp.load_machine("kunt_singh_1990"), frequency=4.0)
+    >>> print(f"{1e3 * lp.steady_state(model.system).amplitude('position'):.0f} mm")
+    40 mm
+    >>> model.system.steps[0].sys.input_labels
+    ['supply_pressure', 'exhaust_pressure', 'load_force']
+    """
+    positive("frequency", frequency, "Hz")
+    not_negative("least_distance", least_distance)
+    if position not in ("constant", "variable"):
+        raise ValueError(f'position: found {position!r}, expected "constant" or "variable"')
+    stairs = staircase(machine, n_steps)
+    iterations, mode = 0, "given"
+    if not isinstance(operating_points, str):
+        points, held_back = finite_array("operating_points", operating_points, (n_steps, len(machine.states))), ()
+    else:
+        mode = operating_points
+        iterations = 1 if mode in ("lti", "mean") else 0
+        asked = _asked(machine, frequency, stairs, operating_points, least_distance)
+        quasi_static = quasi_static_states(machine, stairs.areas)
+        if position == "constant":
+            asked[:, 0] = mean_state(machine, fine_staircase(machine))[0]
+        points, held_back = held_inside(machine, stairs.areas, asked, quasi_static, least_distance)
+    return LtvModel(
+        system=assemble(
+            machine, frequency, stairs, linearize_steps(machine, points, stairs.areas, tangent), system_name(machine, "ltv")
+        ),
+        machine=machine,
+        frequency=float(frequency),
+        operating_points=points,
+        mode=mode,
+        held_back=held_back,
+        least_distance=least_distance,
+        iterations=iterations,
+    )
+
+
+def _asked(
+    machine: Machine, frequency: float, stairs: Staircase, mode: OperatingPoints, least_distance: float
+) -> FloatArray:
+    """Return the operating points that a mode asks for, shape (n_steps, n)."""
+    N = stairs.areas.shape[0]
+    if mode == "quasi-static":
+        return np.tile(mean_state(machine, fine_staircase(machine)), (N, 1))
+    if mode == "quasi-static-steps":
+        return quasi_static_states(machine, stairs.areas)
+    if mode not in ("lti", "mean"):
+        raise ValueError(f"operating_points: found {mode!r}, expected one of {', '.join(MODES)}, or an array of states")
+    cycle = lti_model(machine, frequency, n_steps=N, least_distance=least_distance)
+    trajectory = steady_state(cycle.system).trajectory
+    assert isinstance(trajectory, ExponentialTrajectory)
+    means = trajectory.step_means()[:, : len(machine.states)]
+    if mode == "mean":
+        return np.tile(np.diff(stairs.fractions) @ means, (N, 1))
+    # The nonlinear velocity does not enter the paper's G; its mean over a step of the cycle is kept for the full tangent.
+    return means

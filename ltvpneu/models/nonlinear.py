@@ -1,0 +1,337 @@
+"""The nonlinear model (3)-(7): transient simulation and periodic orbits.
+
+An orbit is what the machine settles on from its initial state, by default at rest at exhaust pressure. With stiction it may
+be one of a band of resting positions, or repeat only after several valve periods; both are found and reported.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import PPoly
+
+from ltvpneu._arrays import FloatArray, IntArray, finite_array, positive, read_only, whole
+from ltvpneu.errors import ChamberVolumeError, IntegrationError, NotSettledError
+from ltvpneu.models.dynamics import STUCK, chamber_volume, external_force
+from ltvpneu.models.integrator import (
+    OK,
+    STEP_TOO_SMALL,
+    VOLUME_GONE,
+    Record,
+    Schedule,
+    Settings,
+    integrate_period,
+    settle,
+)
+from ltvpneu.models.machine import Machine
+from ltvpneu.periodic import bridge
+from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.physics.friction import holding_force
+from ltvpneu.physics.valve import check_duty
+
+if TYPE_CHECKING:
+    import control
+
+Method = Literal["dormand-prince", "rk4"]
+
+# Pressures need not be right to less than 1e-7 of the supply; where they meet the slope of the flow is infinite,
+# and steps that resolve smaller differences multiply without use.
+LEAST_PRESSURE_TOLERANCE = 1e-7
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PolynomialTrajectory:
+    """One period of a solution as the integrator's interpolant: a polynomial on each of its intervals."""
+
+    polynomial: PPoly
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the states at times within the period [s], shape (n_states, n_times)."""
+        values: FloatArray = self.polynomial(times)
+        return values.T
+
+    def means(self) -> FloatArray:
+        """Return the time means, shape (n_states,)."""
+        begin, end = self.polynomial.x[0], self.polynomial.x[-1]
+        integral: FloatArray = self.polynomial.integrate(begin, end)
+        return integral / (end - begin)
+
+    def extremes(self, signal: int) -> tuple[float, float]:
+        """Return the least and the greatest value of a state: at interval ends or where the derivative vanishes."""
+        one = PPoly(self.polynomial.c[:, :, signal], self.polynomial.x)
+        # A derivative that is zero on a whole interval (a piston held) gives nan for a root.
+        roots = one.derivative().roots(discontinuity=False, extrapolate=False)
+        candidates = np.concatenate([one.x, roots[np.isfinite(roots)]])
+        values = np.concatenate([one(candidates), self._left_limits[:, signal]])
+        return float(values.min()), float(values.max())
+
+    @cached_property
+    def _left_limits(self) -> FloatArray:
+        widths = np.diff(self.polynomial.x)[:, None]
+        value = self.polynomial.c[0]
+        for power in self.polynomial.c[1:]:
+            value = value * widths + power
+        return value
+
+
+def nonlinear_orbit(
+    machine: Machine,
+    frequency: float,
+    initial_state: ArrayLike | None = None,
+    *,
+    rtol: float = 1e-8,
+    method: Method = "dormand-prince",
+    steps_per_period: int = 1000,
+    max_periods: int = 5000,
+    tolerance: float = 1e-7,
+) -> Orbit:
+    """Return the periodic orbit that the machine settles on.
+
+    Parameters
+    ----------
+    machine : Machine
+    frequency : float
+        Switching frequency Omega_p [Hz].
+    initial_state : array_like, shape (n_states,), optional
+        Start [m, m/s, Pa]; by default at rest at zero, all chambers at exhaust pressure.
+    rtol : float
+        Relative error tolerated in a step of the adaptive method [-].
+    method : {"dormand-prince", "rk4"}
+        Adaptive with located events, or the paper's fixed step.
+    steps_per_period : int
+        For "rk4".
+    max_periods : int
+        Valve periods to simulate before giving up.
+    tolerance : float
+        Estimated distance from the orbit, relative to the machine's state scales [-], at which the state counts as
+        periodic. The estimate divides the closure by one minus the observed contraction.
+
+    Returns
+    -------
+    Orbit
+        Over `n_periods` valve periods, the least number after which it repeats. `is_unique` is false where the piston
+        rests within a stiction band; `residual` is the scaled closure of the period map.
+
+    Raises
+    ------
+    NotSettledError
+        The state did not repeat; the error carries the residual.
+    ChamberVolumeError
+        The piston swept a chamber's volume down to zero.
+    ValueError
+        Frequency or initial state out of range.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> machine = lp.load_machine("kunt_singh_1990").with_duty(0.86)
+    >>> lp.nonlinear_orbit(machine, frequency=5.4).n_periods
+    2
+    """
+    period = 1 / positive("frequency", frequency, "Hz")
+    settings = _settings(machine, period, rtol, method, steps_per_period)
+    start = _initial_state(machine, initial_state)
+    schedule = _schedule(machine, period)
+    arrays, scales = machine.arrays, machine.state_scales
+    max_periods = whole("max_periods", max_periods)
+    found = settle(
+        start, schedule, arrays, settings, scales, positive("tolerance", tolerance), max_periods
+    )
+    if found.status != OK:
+        _raise_stopped(machine, found.status, found.time, found.state)
+    if found.n_periods == 0:
+        raise NotSettledError(
+            f"no periodic orbit after {found.n_simulated} valve periods: the scaled state still changes by "
+            f"{found.residual:.1e} (tolerance {tolerance:.1e}). It may drift (a piston without a spring), decay slowly "
+            "(raise max_periods) or be chaotic (look at lp.simulate).",
+            residual=found.residual,
+            n_simulated=found.n_simulated,
+            last_state=found.state,
+        )
+    records: list[Record] = []
+    state = found.state
+    for _ in range(found.n_periods):
+        outcome = integrate_period(state, schedule, arrays, settings, True)
+        state = outcome.state
+        records.append(outcome.record)
+    closure = float(np.max(np.abs(state - found.state) / scales))
+    return _orbit(machine, period, records, (found.n_simulated, closure))
+
+
+def simulate(
+    machine: Machine,
+    frequency: float,
+    n_periods: int = 10,
+    initial_state: ArrayLike | None = None,
+    duty_by_period: Sequence[float] | None = None,
+    *,
+    points_per_period: int = 200,
+    rtol: float = 1e-8,
+    method: Method = "dormand-prince",
+    steps_per_period: int = 1000,
+) -> "control.TimeResponseData":
+    """Return the transient of the nonlinear model over a number of valve periods.
+
+    Parameters
+    ----------
+    machine : Machine
+    frequency : float
+        Switching frequency [Hz].
+    n_periods : int
+    initial_state : array_like, shape (n_states,), optional
+        As for `nonlinear_orbit`.
+    duty_by_period : sequence of float, shape (n_periods,), optional
+        Duty cycle of each period; by default the machine's own throughout.
+    points_per_period : int
+        Evenly spaced times returned per period; the switching instants are added.
+    rtol, method, steps_per_period
+        As for `nonlinear_orbit`.
+
+    Returns
+    -------
+    control.TimeResponseData
+        States as outputs, by name.
+
+    Raises
+    ------
+    ChamberVolumeError, IntegrationError
+        The equations could not be integrated on.
+    ValueError
+        Arguments out of range.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> response = lp.simulate(lp.load_machine("kunt_singh_1990"), frequency=4.0, n_periods=2)
+    >>> print(f"{float(response.time[-1])} s")
+    0.5 s
+    """
+    period = 1 / positive("frequency", frequency, "Hz")
+    n_periods = whole("n_periods", n_periods)
+    settings = _settings(machine, period, rtol, method, steps_per_period)
+    state = _initial_state(machine, initial_state)
+    machines = [machine] * n_periods
+    if duty_by_period is not None:
+        if len(duty_by_period) != n_periods:
+            raise ValueError(f"duty_by_period: found {len(duty_by_period)} values, expected n_periods = {n_periods}")
+        duties = [check_duty(duty, f"duty_by_period[{i}]") for i, duty in enumerate(duty_by_period)]
+        by_duty = {duty: machine.with_duty(duty) for duty in set(duties)}
+        machines = [by_duty[duty] for duty in duties]
+    even = np.linspace(0.0, period, whole("points_per_period", points_per_period) + 1)
+    times, states = [], []
+    for number, present in enumerate(machines):
+        schedule = _schedule(present, period)
+        outcome = integrate_period(state, schedule, present.arrays, settings, True)
+        if outcome.status != OK:
+            _raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
+        local = np.union1d(even, schedule.times)[:-1]
+        times.append(number * period + local)
+        states.append(_polynomial([outcome.record], period)(local))
+        state = outcome.state
+    times.append(np.array([n_periods * period]))
+    states.append(state[None])
+    values = np.concatenate(states).T
+    return bridge.time_response(
+        np.concatenate(times), (machine.states, values), (machine.states, values), machine.name
+    )
+
+
+def _settings(machine: Machine, period: float, rtol: float, method: str, steps_per_period: int) -> Settings:
+    if method not in ("dormand-prince", "rk4"):
+        raise ValueError(f'method: found {method!r}, expected "dormand-prince" or "rk4"')
+    if not 1e-13 <= positive("rtol", rtol) < 1:
+        raise ValueError(f"rtol: found {rtol:g}, expected 1e-13 to 1")
+    fixed = period / whole("steps_per_period", steps_per_period) if method == "rk4" else 0.0
+    scales = machine.state_scales
+    atol = rtol * scales
+    atol[2:] = max(rtol, LEAST_PRESSURE_TOLERANCE) * scales[2:]
+    return Settings(float(rtol), atol, fixed, 50_000_000)
+
+
+def _schedule(machine: Machine, period: float) -> Schedule:
+    return Schedule(machine.openings.fractions * period, machine.openings.areas)
+
+
+def _initial_state(machine: Machine, initial_state: ArrayLike | None) -> FloatArray:
+    if initial_state is None:
+        return machine.rest_state.copy()
+    state = finite_array("initial_state", initial_state, (len(machine.states),)).copy()
+    cylinder = machine.cylinder
+    if not cylinder.lower_stop <= state[0] <= cylinder.upper_stop:
+        raise ValueError(
+            f"initial_state: found position {state[0]:g} m, expected it between the end stops "
+            f"({cylinder.lower_stop:g} to {cylinder.upper_stop:g} m)"
+        )
+    for k, name in enumerate(machine.states[2:]):
+        positive(f"initial_state: {name}", state[2 + k], "Pa")
+        volume = chamber_volume(k, float(state[0]), machine.arrays)
+        positive(f"initial_state: volume of {machine.cylinder.chambers[k]} at position {state[0]:g} m", volume, "m^3")
+    return state
+
+
+def _raise_stopped(machine: Machine, status: int, time: float, state: FloatArray) -> None:
+    where = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, state, strict=True))
+    if status == VOLUME_GONE:
+        volumes = [chamber_volume(k, float(state[0]), machine.arrays) for k in range(len(machine.cylinder.chambers))]
+        chamber = machine.cylinder.chambers[int(np.argmin(volumes))]
+        raise ChamberVolumeError(
+            f"the volume of {chamber} would reach zero at t = {time:.6g} s ({where}). Give the cylinder end stops "
+            f"(cylinder.lower_stop, cylinder.upper_stop), a larger cylinder.dead_volume_{chamber[-1]}, or a stiffer spring.",
+            time=time,
+            state=state,
+        )
+    reason = "the step size fell below rounding" if status == STEP_TOO_SMALL else "it took too many steps"
+    raise IntegrationError(
+        f"the integration stopped at t = {time:.6g} s ({where}): {reason}. Is a volume or an area wrong by orders of magnitude?",
+        time=time,
+        state=state,
+    )
+
+
+def _polynomial(records: Sequence[Record], period: float) -> PPoly:
+    starts = np.concatenate([number * period + record.starts for number, record in enumerate(records)])
+    coefficients = np.concatenate([record.coefficients for record in records])
+    # PPoly wants the highest power first and (power, interval, state).
+    return PPoly(np.moveaxis(coefficients[:, ::-1], 1, 0), np.append(starts, len(records) * period), extrapolate=False)
+
+
+def _orbit(machine: Machine, period: float, records: list[Record], reached: tuple[int, float]) -> Orbit:
+    trajectory = PolynomialTrajectory(polynomial=_polynomial(records, period))
+    modes = np.concatenate([record.modes for record in records])
+    starts = trajectory.polynomial.x[:-1]
+    switches = [number * period + t for number in range(len(records)) for t in machine.openings.fractions[:-1] * period]
+    at_switch = np.isin(starts, switches)
+    begins = np.flatnonzero(at_switch | np.concatenate([[True], modes[1:] != modes[:-1]]))
+    labels = {STUCK: "stuck", 1: "moves up", -1: "moves down"}
+    states = trajectory.polynomial.c[-1][begins]
+    free = not machine.has_dry_friction
+    n_simulated, residual = reached
+    return Orbit(
+        system_period=period,
+        n_periods=len(records),
+        step_times=read_only(np.append(starts[begins], trajectory.polynomial.x[-1])),
+        step_states=read_only(states),
+        step_labels=tuple("free" if free and modes[i] != STUCK else labels[int(modes[i])] for i in begins),
+        trajectory=trajectory,
+        states=machine.states,
+        outputs=machine.states,
+        is_unique=not _in_stiction_band(machine, trajectory.polynomial, modes),
+        residual=residual,
+        n_simulated=n_simulated,
+        name=machine.name,
+    )
+
+
+def _in_stiction_band(machine: Machine, polynomial: PPoly, modes: IntArray) -> bool:
+    """Whether the piston rests throughout, held by stiction alone, so that it could rest beside just as well."""
+    if not (modes == STUCK).all() or not machine.has_dry_friction:
+        return False
+    states = polynomial.c[-1]
+    forces = np.array([external_force(state, machine.arrays) for state in states])
+    hold = holding_force(machine.load.dry_friction, machine.load.stiction)
+    # Pressed against an end stop by more than stiction holds, it has nowhere else to rest.
+    return bool(np.max(np.abs(forces)) <= hold * (1 + 1e-9))

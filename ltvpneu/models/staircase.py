@@ -1,0 +1,124 @@
+"""The staircase (10): any opening profile as a given number of steps, each with the step means of the areas.
+
+Steps end where the profile jumps, so at least as many are needed as the valve has positions (N_0). Further ones go to the longest
+piece of the profile, a ramp counting more than a plateau by its rise; with fewer steps than pieces, ramps are halved and
+the pieces merged that differ least.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray, read_only, whole
+from ltvpneu.models.machine import Machine, OpeningTable
+
+
+class Staircase(NamedTuple):
+    """Steps of constant areas over one turn."""
+
+    fractions: FloatArray
+    """Step boundaries as shares of the period, from 0 to 1, shape (n_steps + 1,)."""
+    areas: FloatArray
+    """Step means of the first and second effective area of each path [m^2], shape (n_steps, 2, n_paths)."""
+
+
+def staircase(machine: Machine, n_steps: int) -> Staircase:
+    """Return the machine's openings as `n_steps` steps, eq. (10) with erratum E9.
+
+    Raises
+    ------
+    ValueError
+        Fewer steps than the valve has positions between jumps.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> from ltvpneu.models.staircase import staircase
+    >>> staircase(lp.load_machine("kunt_singh_1990").with_duty(0.25), 4).fractions.tolist()
+    [0.0, 0.25, 0.5, 0.75, 1.0]
+    """
+    n_steps = whole("n_steps", n_steps)
+    table = machine.openings
+    n_pieces = table.fractions.size - 1
+    fractions = _split(table, n_steps) if n_steps >= n_pieces else _merged(table, n_steps)
+    return Staircase(read_only(fractions), read_only(_step_means(table, fractions)))
+
+
+def fine_staircase(machine: Machine, steps_per_ramp: int = 32) -> Staircase:
+    """Return a staircase with one step for each plateau and many for each ramp, for time means over the turn."""
+    table = machine.openings
+    counts = np.where(_rises(table) > 0, steps_per_ramp, 1)
+    fractions = _subdivided(table, counts)
+    return Staircase(read_only(fractions), read_only(_step_means(table, fractions)))
+
+
+def _rises(table: OpeningTable) -> FloatArray:
+    """Largest change of any area over each piece, relative to that area's maximum, shape (n_pieces,)."""
+    at_start, at_end = table.areas[:, (0, 2)], table.areas[:, (1, 3)]
+    # An absent second restriction is infinite throughout, a path never open zero throughout: neither changes.
+    with np.errstate(invalid="ignore"):
+        changes = np.abs(at_end - at_start) / np.max(table.areas, axis=0)[(0, 2),]
+    return np.max(np.nan_to_num(changes), axis=(1, 2))
+
+
+def _subdivided(table: OpeningTable, counts: FloatArray) -> FloatArray:
+    pieces = [
+        np.linspace(begin, end, int(count), endpoint=False)
+        for begin, end, count in zip(table.fractions[:-1], table.fractions[1:], counts, strict=True)
+    ]
+    return np.concatenate([*pieces, [1.0]])
+
+
+def _split(table: OpeningTable, n_steps: int) -> FloatArray:
+    sizes = np.diff(table.fractions) * (1 + _rises(table))
+    counts = np.ones(sizes.size)
+    for _ in range(n_steps - sizes.size):
+        counts[np.argmax(sizes / counts)] += 1
+    return _subdivided(table, counts)
+
+
+def _merged(table: OpeningTable, n_steps: int) -> FloatArray:
+    counts = np.where(_rises(table) > 0, 2, 1)
+    fractions = _subdivided(table, counts)
+    jumps = _jumps(table)
+    while fractions.size - 1 > n_steps:
+        costs = _merge_costs(table, fractions)
+        costs[np.isin(fractions[1:-1], jumps)] = np.inf
+        if not np.isfinite(costs).any():
+            raise ValueError(
+                f"n_steps: found {n_steps}, expected at least {jumps.size + 1}, the number of valve positions between "
+                "jumps of the openings"
+            )
+        fractions = np.delete(fractions, 1 + int(np.argmin(costs)))
+    return fractions
+
+
+def _jumps(table: OpeningTable) -> FloatArray:
+    ends, starts = table.areas[:-1, (1, 3)], table.areas[1:, (0, 2)]
+    jumps = np.any(ends != starts, axis=(1, 2))
+    return table.fractions[1:-1][jumps]
+
+
+def _merge_costs(table: OpeningTable, fractions: FloatArray) -> FloatArray:
+    """Growth of the squared error of the staircase if the step before and after each inner boundary became one."""
+    widths, means = np.diff(fractions), _step_means(table, fractions)
+    weights = widths[:-1] * widths[1:] / (widths[:-1] + widths[1:])
+    with np.errstate(invalid="ignore"):
+        differences = (means[1:] - means[:-1]) / np.max(table.areas, axis=0)[(0, 2),]
+    return weights * np.sum(np.nan_to_num(differences) ** 2, axis=(1, 2))
+
+
+def _step_means(table: OpeningTable, fractions: FloatArray) -> FloatArray:
+    """Means of the areas over each step, shape (n_steps, 2, n_paths)."""
+    cuts = np.union1d(table.fractions, fractions)
+    middles, widths = (cuts[:-1] + cuts[1:]) / 2, np.diff(cuts)
+    piece = np.searchsorted(table.fractions, middles) - 1
+    share = (middles - table.fractions[piece]) / np.diff(table.fractions)[piece]
+    at_start, at_end = table.areas[piece][:, (0, 2)], table.areas[piece][:, (1, 3)]
+    with np.errstate(invalid="ignore"):
+        values = at_start + share[:, None, None] * (at_end - at_start)
+    values = np.where(np.isinf(at_start), np.inf, values)
+    step = np.searchsorted(fractions, middles) - 1
+    sums = np.zeros((fractions.size - 1, *values.shape[1:]))
+    np.add.at(sums, step, widths[:, None, None] * values)
+    return sums / np.diff(fractions)[:, None, None]

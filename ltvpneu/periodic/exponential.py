@@ -1,0 +1,134 @@
+r"""A trajectory of a piecewise-constant system: on each step a sum of exponentials, exact at every time.
+
+The mean comes from the integral of the augmented exponential,
+
+.. math:: \exp\left(\begin{bmatrix} M & I \\ 0 & 0 \end{bmatrix} T\right)
+          = \begin{bmatrix} e^{M T} & \int_0^T e^{M t} dt \\ 0 & I \end{bmatrix}
+
+and extremes lie at step boundaries or at roots of a signal's derivative, which are bracketed on a grid fine enough for the
+step's fastest oscillation and decay, and then solved for.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu.periodic.propagate import ScaledSteps, exponentials
+from ltvpneu.periodic.system import PeriodicSystem
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ExponentialTrajectory:
+    """One period of a solution of a periodic system."""
+
+    system: PeriodicSystem
+    steps: ScaledSteps
+    step_states: FloatArray
+    """State at the start of each step, shape (n_steps, n)."""
+
+    @cached_property
+    def _starts(self) -> FloatArray:
+        return self.steps.augmented(self.step_states)
+
+    @cached_property
+    def _rows(self) -> FloatArray:
+        """Signals over the balanced augmented state, shape (n_steps, n_signals, n + 1)."""
+        system, scales = self.system, self.steps.scales
+        n = system.n_states
+        extra = [i for i, name in enumerate(system.outputs) if name not in system.states]
+        rows = np.zeros((system.n_steps, n + len(extra), n + 1))
+        rows[:, :n, :n] = np.diag(scales)
+        rows[:, n:, :n] = system.C[:, extra] * scales
+        rows[:, n:, n] = system.output_bias[:, extra] / self.steps.unit
+        return rows
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the signals at times within the period, shape (n_signals, n_times); at a switch, just after it."""
+        boundaries = self.system.switching_times
+        step = np.clip(np.searchsorted(boundaries, times, side="right") - 1, 0, self.system.n_steps - 1)
+        local = np.clip(times - boundaries[step], 0.0, self.system.durations[step])
+        maps = exponentials(self.steps.matrices[step] * local[:, None, None])
+        states = np.einsum("tij,tj->ti", maps, self._starts[step])
+        return np.einsum("tsi,ti->st", self._rows[step], states)
+
+    def step_means(self) -> FloatArray:
+        """Return the mean of every signal over every step, shape (n_steps, n_signals); (17) with erratum E10."""
+        integrals = step_integrals(self.steps.matrices, self.system.durations)
+        sums = np.einsum("msi,mij,mj->ms", self._rows, integrals, self._starts)
+        durations = self.system.durations[:, None]
+        at_start = np.einsum("msi,mi->ms", self._rows, self._starts)
+        # A step of no duration has its start for a mean.
+        return np.where(durations > 0, sums / np.where(durations > 0, durations, 1.0), at_start)
+
+    @cached_property
+    def _means(self) -> FloatArray:
+        weights = self.system.durations / self.system.period
+        return weights @ self.step_means()
+
+    def means(self) -> FloatArray:
+        """Return the time means of the signals, shape (n_signals,)."""
+        return self._means
+
+    def extremes(self, signal: int) -> tuple[float, float]:
+        """Return the least and the greatest value of a signal."""
+        values = [self._samples[:, :, signal].ravel()]
+        slopes = self._slope_rows(signal)
+        changed = np.einsum("mi,mji->mj", slopes, self._sampled_states)
+        for step, left in np.argwhere(changed[:, :-1] * changed[:, 1:] < 0):
+            values.append(np.array([self._value_at_root(step, left, signal, slopes[step])]))
+        found = np.concatenate(values)
+        return float(found.min()), float(found.max())
+
+    def _slope_rows(self, signal: int) -> FloatArray:
+        return np.einsum("mi,mij->mj", self._rows[:, signal], self.steps.matrices)
+
+    def _value_at_root(self, step: int, left: int, signal: int, slope: FloatArray) -> float:
+        matrix, duration = self.steps.matrices[step], self.system.durations[step]
+        start = self._sampled_states[step, left]
+
+        def state(time: float) -> FloatArray:
+            return exponentials(matrix * time) @ start
+
+        span = duration * (self._shares[left + 1] - self._shares[left])
+        slope_at: Callable[[float], float] = lambda time: float(slope @ state(time))  # noqa: E731
+        ends = slope_at(0.0), slope_at(span)
+        # The sample beyond was computed another way: at a root on the boundary rounding may leave no change of sign.
+        if ends[0] * ends[1] >= 0:
+            return float(self._rows[step, signal] @ start)
+        return float(self._rows[step, signal] @ state(brentq(slope_at, 0.0, span, xtol=1e-15 * duration, rtol=1e-14)))
+
+    @cached_property
+    def _shares(self) -> FloatArray:
+        """Shares of a step at which its states are sampled: evenly for oscillation, halving to 0 for decay."""
+        eigenvalues = np.linalg.eigvals(self.steps.matrices[:, :-1, :-1]) * self.system.durations[:, None]
+        swings = float(np.max(np.abs(eigenvalues.imag)))
+        decay = float(np.max(np.abs(eigenvalues)))
+        even = np.linspace(0.0, 1.0, 5 + int(np.ceil(4 * swings / np.pi)))
+        halvings = 2.0 ** -np.arange(1, 2 + max(0, int(np.ceil(np.log2(max(decay, 1.0))))))
+        return np.union1d(even, halvings)
+
+    @cached_property
+    def _sampled_states(self) -> FloatArray:
+        """Balanced augmented states at the sampled shares of all steps, shape (n_steps, n_shares, n + 1)."""
+        local = self.system.durations[:, None] * self._shares
+        maps = exponentials(self.steps.matrices[:, None] * local[:, :, None, None])
+        return np.einsum("mjik,mk->mji", maps, self._starts)
+
+    @cached_property
+    def _samples(self) -> FloatArray:
+        return np.einsum("msi,mji->mjs", self._rows, self._sampled_states)
+
+
+def step_integrals(matrices: FloatArray, durations: FloatArray) -> FloatArray:
+    """Integrals of exp(M t) over each step, shapes (n_steps, k, k) and (n_steps,) to (n_steps, k, k)."""
+    N, k = matrices.shape[:2]
+    block = np.zeros((N, 2 * k, 2 * k))
+    block[:, :k, :k] = matrices
+    block[:, :k, k:] = np.eye(k)
+    return exponentials(block * durations[:, None, None])[:, :k, k:]

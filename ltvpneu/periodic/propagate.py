@@ -1,0 +1,113 @@
+r"""Step maps z -> W_m z + g_m from the exponential of the augmented matrix.
+
+.. math:: \exp\left(\begin{bmatrix} A & f \\ 0 & 0 \end{bmatrix} T\right) = \begin{bmatrix} W & g \\ 0 & 1 \end{bmatrix}
+
+No inverse of A is needed, so a singular step (a shut chamber, erratum E8) is like any other. The states are balanced and
+the forcing scaled before exponentiating: in SI units the entries span nine decades.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import final
+
+import numpy as np
+from scipy.linalg import expm
+from threadpoolctl import ThreadpoolController
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu.periodic.system import PeriodicSystem
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def exponentials(matrices: FloatArray) -> FloatArray:
+    """Exponentials of a stack of small matrices, shape (..., k, k).
+
+    On one BLAS thread: on tiny matrices more threads cost five to twenty times as much on a busy machine.
+    """
+    with _blas().limit(limits=1, user_api="blas"):
+        return expm(matrices)
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScaledSteps:
+    """A system's augmented matrices in balanced coordinates: states divided by `scales`, the forcing by `unit`.
+
+    In these coordinates the augmented state is (z / scales, unit), and `matrices` holds [[A, f], [0, 0]] of each step.
+    """
+
+    matrices: FloatArray
+    """(n_steps, n + 1, n + 1) [1/s]"""
+    scales: FloatArray
+    """(n,)"""
+    unit: float
+
+    def augmented(self, states: FloatArray) -> FloatArray:
+        """Return states (..., n) as balanced augmented ones (..., n + 1)."""
+        unit = np.full((*states.shape[:-1], 1), self.unit)
+        return np.concatenate([states / self.scales, unit], axis=-1)
+
+    def physical(self, augmented: FloatArray) -> FloatArray:
+        """Return balanced augmented states (..., n + 1) as states (..., n)."""
+        return augmented[..., :-1] * self.scales
+
+
+def scaled_steps(system: PeriodicSystem) -> ScaledSteps:
+    """Return the augmented matrices of all steps in balanced coordinates."""
+    scales, n = system.state_scales, system.n_states
+    A = system.A * (scales / scales[:, None])
+    f = system.f / scales
+    # The largest forcing over a step becomes about one, so that it does not spoil the scaling of the exponential.
+    largest = float(np.max(np.abs(f) * system.durations[:, None], initial=0.0))
+    unit = 2.0 ** np.round(np.log2(largest)) if largest > 0 else 1.0
+    matrices = np.zeros((system.n_steps, n + 1, n + 1))
+    matrices[:, :n, :n] = A
+    matrices[:, :n, n] = f / unit
+    return ScaledSteps(matrices=matrices, scales=scales, unit=float(unit))
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StepMaps:
+    """Maps of the balanced augmented state over each step, and the coordinates they are in."""
+
+    maps: FloatArray
+    """(n_steps, n + 1, n + 1)"""
+    steps: ScaledSteps
+
+    @property
+    def transitions(self) -> FloatArray:
+        """W_m in physical coordinates, shape (n_steps, n, n)."""
+        scales = self.steps.scales
+        return self.maps[:, :-1, :-1] * (scales[:, None] / scales)
+
+    @property
+    def offsets(self) -> FloatArray:
+        """g_m in physical coordinates, shape (n_steps, n)."""
+        return self.maps[:, :-1, -1] * self.steps.unit * self.steps.scales
+
+    def over_period(self) -> FloatArray:
+        """Return the balanced augmented map over the whole period, shape (n + 1, n + 1)."""
+        total = self.maps[0]
+        for step in self.maps[1:]:
+            total = step @ total
+        return total
+
+
+def step_maps(system: PeriodicSystem) -> StepMaps:
+    """Return the maps over all steps, (11) without its inverse."""
+    steps = scaled_steps(system)
+    return StepMaps(maps=exponentials(steps.matrices * system.durations[:, None, None]), steps=steps)
+
+
+def states_from(maps: StepMaps, initial_state: FloatArray) -> FloatArray:
+    """Return the states at the start of every step and at the end of the last, (13), shape (n_steps + 1, n)."""
+    found = np.empty((maps.maps.shape[0] + 1, maps.maps.shape[1]))
+    found[0] = maps.steps.augmented(initial_state)
+    for m, step in enumerate(maps.maps):
+        found[m + 1] = step @ found[m]
+    return maps.steps.physical(found)

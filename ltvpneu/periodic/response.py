@@ -1,0 +1,81 @@
+"""Response of a periodic system from an initial state, (10)-(13)."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ltvpneu._arrays import finite_array, whole
+from ltvpneu.periodic import bridge
+from ltvpneu.periodic.propagate import exponentials, scaled_steps
+from ltvpneu.periodic.system import PeriodicSystem
+
+if TYPE_CHECKING:
+    import control
+
+
+def response(
+    system: PeriodicSystem,
+    *,
+    n_periods: int = 10,
+    initial_state: ArrayLike | None = None,
+    points_per_period: int = 200,
+) -> "control.TimeResponseData":
+    """Return the response over a number of periods, exact at every time returned.
+
+    Parameters
+    ----------
+    system : PeriodicSystem
+    n_periods : int
+    initial_state : array_like, shape (n,), optional
+        Zero by default.
+    points_per_period : int
+        Least number of times per period; every step boundary is among them. Where an output jumps at a boundary, the value
+        is the one just after it.
+
+    Returns
+    -------
+    control.TimeResponseData
+        With named states and outputs; `.plot()` and `.to_pandas()` are python-control's.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> system = lp.PeriodicSystem.from_matrices([[[-1.0]], [[-1.0]]], [[1.0], [0.0]], [0.25, 0.75])
+    >>> lp.response(system, n_periods=3).states.shape[0]
+    1
+    """
+    n_periods = whole("n_periods", n_periods)
+    points_per_period = whole("points_per_period", points_per_period)
+    start = np.zeros(system.n_states)
+    if initial_state is not None:
+        start = finite_array("initial_state", initial_state, (system.n_states,))
+    steps = scaled_steps(system)
+    state = steps.augmented(start)
+    local_times = [
+        np.linspace(0.0, duration, 1 + int(np.ceil(points_per_period * duration / system.period)))
+        for duration in system.durations
+    ]
+    maps = [
+        exponentials(matrix * times[:, None, None])
+        for matrix, times in zip(steps.matrices, local_times, strict=True)
+    ]
+    times, states, outputs = [], [], []
+    for period in range(n_periods):
+        for m, step in enumerate(maps):
+            reached = step @ state
+            state = reached[-1]
+            inside = steps.physical(reached[:-1])
+            times.append(period * system.period + system.switching_times[m] + local_times[m][:-1])
+            states.append(inside)
+            outputs.append(inside @ system.C[m].T + system.output_bias[m])
+    last = steps.physical(state)
+    times.append(np.array([n_periods * system.period]))
+    states.append(last[None])
+    outputs.append(last[None] @ system.C[-1].T + system.output_bias[-1])
+    return bridge.time_response(
+        np.concatenate(times),
+        (system.states, np.concatenate(states).T),
+        (system.outputs, np.concatenate(outputs).T),
+        system.name,
+    )

@@ -1,0 +1,245 @@
+"""`PeriodicSystem`: steps of constant coefficients, one after the other, for ever.
+
+On step m, of duration T_m, with input levels u,
+
+    z' = A_m z + B_m u + r_m,    y = C_m z + D_m u + q_m
+
+so the forcing of eq. (8a) is f_m = B_m u + r_m. The whole is a value: arrays are copied, checked and closed to writing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import matrix_balance
+
+from ltvpneu._arrays import FloatArray, finite_array, read_only
+from ltvpneu.periodic import bridge
+
+if TYPE_CHECKING:
+    import control
+
+CONSTANT_INPUT = "one"
+"""Name of the input, of level 1, through which the remainder enters a step's `control.StateSpace`."""
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Step:
+    """One step: z' = A z + B u + r, y = C z + D u + q over a duration."""
+
+    duration: float
+    """[s]"""
+    A: FloatArray
+    """(n, n)"""
+    B: FloatArray
+    """(n, m)"""
+    r: FloatArray
+    """(n,)"""
+    C: FloatArray
+    """(p, n)"""
+    D: FloatArray
+    """(p, m)"""
+    q: FloatArray
+    """(p,)"""
+    f: FloatArray
+    """B u + r at the system's input levels, (n,)"""
+    names: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
+    """Of states, inputs and outputs."""
+    name: str
+
+    @property
+    def sys(self) -> "control.StateSpace":
+        """The step as a named `control.StateSpace`.
+
+        Where the step has a remainder r or an output offset q, a last input named "one" carries them.
+        """
+        states, inputs, outputs = self.names
+        B, D = self.B, self.D
+        if self.r.any() or self.q.any():
+            B, D = np.column_stack([B, self.r]), np.column_stack([D, self.q])
+            inputs = (*inputs, CONSTANT_INPUT)
+        return bridge.state_space((self.A, B, self.C, D), (states, inputs, outputs), self.name)
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PeriodicSystem:
+    """A periodic, piecewise-constant system.
+
+    Parameters
+    ----------
+    durations : array_like, shape (n_steps,)
+        T_m [s], none negative, at least one above zero.
+    A : array_like, shape (n_steps, n, n)
+    B : array_like, shape (n_steps, n, m)
+    r : array_like, shape (n_steps, n)
+    C : array_like, shape (n_steps, p, n)
+    D : array_like, shape (n_steps, p, m)
+    q : array_like, shape (n_steps, p)
+        Output offsets.
+    levels : array_like, shape (m,)
+        Values of the inputs.
+    states, inputs, outputs : tuple of str
+    name : str
+
+    Examples
+    --------
+    An RC circuit switched to 1 V for a quarter of each second:
+
+    >>> import ltvpneu as lp
+    >>> system = lp.PeriodicSystem.from_matrices([[[-1.0]], [[-1.0]]], [[1.0], [0.0]], [0.25, 0.75])
+    >>> print(round(lp.steady_state(system).mean("z1"), 6))
+    0.25
+    """
+
+    durations: FloatArray
+    A: FloatArray
+    B: FloatArray
+    r: FloatArray
+    C: FloatArray
+    D: FloatArray
+    q: FloatArray
+    levels: FloatArray
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    name: str = "periodic"
+
+    def __post_init__(self) -> None:
+        durations = finite_array("durations", self.durations, (None,))
+        N = durations.size
+        if (durations < 0).any():
+            worst = int(np.argmin(durations))
+            raise ValueError(f"durations: found {durations[worst]:g} s in step {worst}, expected none negative")
+        if not durations.any():
+            raise ValueError("durations: found a period of 0 s, expected at least one step longer than zero")
+        A = finite_array("A", self.A, (N, None, None))
+        n, m, p = A.shape[1], len(self.inputs), len(self.outputs)
+        shapes: dict[str, tuple[int, ...]] = {
+            "A": (N, n, n), "B": (N, n, m), "r": (N, n), "C": (N, p, n), "D": (N, p, m), "q": (N, p), "levels": (m,)
+        }  # fmt: skip
+        object.__setattr__(self, "durations", durations)
+        for field, shape in shapes.items():
+            object.__setattr__(self, field, finite_array(field, getattr(self, field), shape))
+        if len(self.states) != n:
+            raise ValueError(f"states: found {len(self.states)} names {self.states}, expected {n}")
+        for kind in ("states", "inputs", "outputs"):
+            names: tuple[str, ...] = getattr(self, kind)
+            if len(set(names)) != len(names):
+                raise ValueError(f"{kind}: found {names}, expected each name once")
+
+    @classmethod
+    def from_matrices(
+        cls,
+        A: Sequence[ArrayLike],
+        f: Sequence[ArrayLike],
+        durations: ArrayLike,
+        B: Sequence[ArrayLike] | None = None,
+        C: Sequence[ArrayLike] | None = None,
+        D: Sequence[ArrayLike] | None = None,
+    ) -> "PeriodicSystem":
+        """Return the system with one entry of each list a step; f becomes the remainder r.
+
+        Parameters
+        ----------
+        A : sequence of array_like, shape (n, n)
+        f : sequence of array_like, shape (n,)
+        durations : array_like, shape (n_steps,)
+            [s]
+        B : sequence of array_like, shape (n, m), optional
+            Inputs u1, u2, ... at level zero; none by default.
+        C : sequence of array_like, shape (p, n), optional
+            Outputs y1, y2, ...; the states by default.
+        D : sequence of array_like, shape (p, m), optional
+            Zero by default.
+
+        Raises
+        ------
+        ValueError
+            Ragged or non-finite matrices, shapes that do not fit, negative durations.
+        """
+        durations = finite_array("durations", durations, (None,))
+        N = durations.size
+        system_matrices = finite_array("A", A, (N, None, None))
+        n = system_matrices.shape[1]
+        inputs = finite_array("B", B, (N, n, None)) if B is not None else np.zeros((N, n, 0))
+        outputs = finite_array("C", C, (N, None, n)) if C is not None else np.tile(np.eye(n), (N, 1, 1))
+        m, p = inputs.shape[2], outputs.shape[1]
+        states = tuple(f"z{i + 1}" for i in range(n))
+        return cls(
+            durations=durations,
+            A=system_matrices,
+            B=inputs,
+            r=finite_array("f", f, (N, n)),
+            C=outputs,
+            D=finite_array("D", D, (N, p, m)) if D is not None else np.zeros((N, p, m)),
+            q=np.zeros((N, p)),
+            levels=np.zeros(m),
+            states=states,
+            inputs=tuple(f"u{i + 1}" for i in range(m)),
+            outputs=states if C is None else tuple(f"y{i + 1}" for i in range(p)),
+        )
+
+    def with_levels(self, levels: ArrayLike) -> "PeriodicSystem":
+        """Return the system with other values of its inputs, shape (m,)."""
+        return replace(self, levels=finite_array("levels", levels, (len(self.inputs),)))
+
+    @cached_property
+    def period(self) -> float:
+        """Sum of the durations [s]."""
+        return float(np.sum(self.durations))
+
+    @property
+    def n_steps(self) -> int:
+        """N_s, number of steps in a period."""
+        return self.durations.size
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return self.A.shape[1]
+
+    @cached_property
+    def f(self) -> FloatArray:
+        """Forcing B u + r of each step at the input levels, shape (n_steps, n)."""
+        return read_only(self.B @ self.levels + self.r)
+
+    @cached_property
+    def output_bias(self) -> FloatArray:
+        """D u + q of each step at the input levels, shape (n_steps, p)."""
+        return read_only(self.D @ self.levels + self.q)
+
+    @cached_property
+    def switching_times(self) -> FloatArray:
+        """Step boundaries from 0 to the period [s], shape (n_steps + 1,)."""
+        return read_only(np.concatenate([[0.0], np.cumsum(self.durations)]))
+
+    @cached_property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps, one by one."""
+        names = (self.states, self.inputs, self.outputs)
+        return tuple(
+            Step(
+                duration=float(self.durations[i]),
+                A=self.A[i], B=self.B[i], r=self.r[i], C=self.C[i], D=self.D[i], q=self.q[i], f=self.f[i],
+                names=names,
+                name=f"{self.name}_step_{i + 1}",
+            )
+            for i in range(self.n_steps)
+        )  # fmt: skip
+
+    @cached_property
+    def state_scales(self) -> FloatArray:
+        """Powers of two by which the states are divided so that all steps together are balanced, shape (n,)."""
+        from_steps = np.sum(np.abs(self.A) * self.durations[:, None, None], axis=0)
+        return read_only(balancing_scales(from_steps))
+
+
+def balancing_scales(matrix: FloatArray) -> FloatArray:
+    """Powers of two d for which diag(1/d) |matrix| diag(d) has rows and columns of like size, shape (n,)."""
+    scales: FloatArray = matrix_balance(matrix, permute=False, separate=True)[1][0]
+    return scales

@@ -1,0 +1,1 @@
+"""Laws of gas, flow, valve, cylinder, friction and load, each written once."""

@@ -1,0 +1,84 @@
+"""Cylinder: what a chamber's volume and push are over the piston position.
+
+V_1 = V_01 + A_p1 x grows with the position, V_2 = V_02 - A_p2 x shrinks; the push is (7b) with erratum E4,
+F = (A_p1 - C_p) p_1 - (A_p2 + C_p) p_2, where C_p acts as a change of area. A side without a dead volume is not a chamber:
+it stands open to the return pressure.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+from ltvpneu._arrays import finite, positive
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Cylinder:
+    """A cylinder with one or two chambers.
+
+    Parameters
+    ----------
+    piston_area_1, piston_area_2 : float
+        A_p1, A_p2 [m^2].
+    dead_volume_1, dead_volume_2 : float or None
+        V_01, V_02, the chambers' volumes at position zero [m^3]; None where that side is open to the return.
+    seal_friction_area : float
+        C_p [m^2], a change of area, either sign.
+    polytropic_exponent_1, polytropic_exponent_2 : float
+        n_1, n_2 [-], at least 1; 1 is isothermal.
+    lower_stop, upper_stop : float
+        Positions of the end stops [m], where the piston lands without rebound; infinite where there are none, as in
+        the paper.
+    """
+
+    piston_area_1: float
+    piston_area_2: float
+    dead_volume_1: float | None
+    dead_volume_2: float | None = None
+    seal_friction_area: float = 0.0
+    polytropic_exponent_1: float = 1.0
+    polytropic_exponent_2: float = 1.0
+    lower_stop: float = -math.inf
+    upper_stop: float = math.inf
+
+    def __post_init__(self) -> None:
+        for side in (1, 2):
+            positive(f"piston_area_{side}", getattr(self, f"piston_area_{side}"), "m^2")
+            volume = getattr(self, f"dead_volume_{side}")
+            if volume is not None:
+                positive(f"dead_volume_{side}", volume, "m^3")
+            exponent = getattr(self, f"polytropic_exponent_{side}")
+            if finite(f"polytropic_exponent_{side}", exponent) < 1:
+                raise ValueError(f"polytropic_exponent_{side}: found {exponent:g}, expected 1 (isothermal) or more")
+        finite("seal_friction_area", self.seal_friction_area, "m^2")
+        if self.dead_volume_1 is None and self.dead_volume_2 is None:
+            raise ValueError("dead_volume_1, dead_volume_2: found neither, expected at least one chamber")
+        if math.isnan(self.lower_stop) or math.isnan(self.upper_stop) or self.lower_stop >= self.upper_stop:
+            raise ValueError(
+                f"lower_stop, upper_stop: found {self.lower_stop:g} m and {self.upper_stop:g} m, expected the lower "
+                "below the upper"
+            )
+        self._check_stop_volumes()
+
+    def _check_stop_volumes(self) -> None:
+        if self.dead_volume_1 is not None and math.isfinite(self.lower_stop):
+            positive("dead_volume_1 at the lower stop", self.dead_volume_1 + self.piston_area_1 * self.lower_stop, "m^3")
+        if self.dead_volume_2 is not None and math.isfinite(self.upper_stop):
+            positive("dead_volume_2 at the upper stop", self.dead_volume_2 - self.piston_area_2 * self.upper_stop, "m^3")
+
+    @property
+    def chambers(self) -> tuple[str, ...]:
+        """Names of the sides that are chambers: "chamber_1", "chamber_2"."""
+        volumes = (self.dead_volume_1, self.dead_volume_2)
+        return tuple(f"chamber_{side}" for side, volume in enumerate(volumes, start=1) if volume is not None)
+
+    @property
+    def push_area_1(self) -> float:
+        """Force over pressure 1, A_p1 - C_p [m^2]."""
+        return self.piston_area_1 - self.seal_friction_area
+
+    @property
+    def push_area_2(self) -> float:
+        """Force over pressure 2, -(A_p2 + C_p) [m^2]; printed with the other sign in (7b) (erratum E4)."""
+        return -(self.piston_area_2 + self.seal_friction_area)
