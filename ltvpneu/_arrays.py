@@ -38,8 +38,8 @@ def finite_array(name: str, values: ArrayLike, shape: Sequence[int | None] | Non
         if wrong:
             wanted = "(" + ", ".join("any" if size is None else str(size) for size in shape) + ")"
             raise ValueError(f"{name}: found shape {array.shape}, expected {wanted}")
-    finite = np.isfinite(array)
-    if not finite.all():
+    # One sum is a quick test of many entries; only where it fails is the entry looked for.
+    if not math.isfinite(np.add.reduce(array, axis=None)) and not (finite := np.isfinite(array)).all():
         where = tuple(int(i) for i in np.argwhere(~finite)[0])
         raise ValueError(f"{name}: found {array[where]} at index {where}, expected finite numbers")
     array.setflags(write=False)

@@ -201,3 +201,29 @@ def tangents(
     for step in range(n_steps):
         state_tangent(states[step], areas[step], machine, full, A[step], B[step])
     return A, B
+
+
+@compiled
+def settled_pressures(areas: FloatArray, machine: MachineArrays, start: FloatArray) -> FloatArray:
+    """Return the quasi-static pressures of every step of a turn, shape (n_steps, n_c).
+
+    Twice round: a chamber shut at the start of the turn keeps what the last step left.
+    """
+    n_steps = areas.shape[0]
+    found = np.empty((n_steps, start.size))
+    present = start
+    for step in range(2 * n_steps):
+        present = equilibrium_pressures(areas[step % n_steps], machine, present)
+        found[step % n_steps] = present
+    return found
+
+
+@compiled
+def source_ranges(areas: FloatArray, machine: MachineArrays) -> FloatArray:
+    """Return `source_range` of every step and chamber, shape (n_steps, n_c, 2)."""
+    n_steps, n_chambers = areas.shape[0], machine.chambers.shape[0]
+    found = np.empty((n_steps, n_chambers, 2))
+    for step in range(n_steps):
+        for k in range(n_chambers):
+            found[step, k, 0], found[step, k, 1] = source_range(k, areas[step], machine)
+    return found

@@ -13,12 +13,12 @@ from typing import Literal, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import FloatArray, finite_array, positive
+from ltvpneu._arrays import FloatArray, finite_array
 from ltvpneu.models.dynamics import state_rate, tangents
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.staircase import Staircase
 from ltvpneu.periodic.exponential import ExponentialTrajectory
-from ltvpneu.periodic.steady import steady_state
+from ltvpneu.periodic.steady import periodic_states
 from ltvpneu.periodic.system import PeriodicSystem
 
 Tangent = Literal["paper", "full"]
@@ -127,10 +127,14 @@ def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tan
 
 def _check_domain(machine: Machine, states: FloatArray) -> None:
     chambers = machine.arrays.chambers
-    for step, state in enumerate(states):
-        for k, name in enumerate(machine.cylinder.chambers):
-            positive(f"operating point of step {step + 1}: volume of {name}", chambers[k, 0] + chambers[k, 1] * state[0], "m^3")
-            positive(f"operating point of step {step + 1}: {machine.states[2 + k]}", state[2 + k], "Pa")
+    volumes = chambers[:, 0] + states[:, :1] * chambers[:, 1]
+    for found, what, unit in ((volumes, "volume", "m^3"), (states[:, 2:], "pressure", "Pa")):
+        if (found <= 0).any():
+            step, k = np.argwhere(found <= 0)[0]
+            raise ValueError(
+                f"operating point of step {step + 1}: found a {what} of {machine.cylinder.chambers[k]} of {found[step, k]:g} "
+                f"{unit} (position {states[step, 0]:g} m), expected above zero"
+            )
 
 
 @final
@@ -171,10 +175,8 @@ class LtvModel:
 
         Relative to the supply pressure. Zero would mean that the model is linearized about its own cycle.
         """
-        trajectory = steady_state(self.system).trajectory
-        assert isinstance(trajectory, ExponentialTrajectory)
-        n = len(self.machine.states)
-        differences = trajectory.step_means()[:, 2:n] - self.operating_points[:, 2:]
+        cycle = ExponentialTrajectory(system=self.system, step_states=periodic_states(self.system)[:-1])
+        differences = cycle.step_means()[:, 2:] - self.operating_points[:, 2:]
         return float(np.max(np.abs(differences))) / self.machine.supply_pressure
 
 
@@ -198,9 +200,3 @@ def assemble(
         outputs=machine.states,
         name=name,
     )
-
-
-def system_name(machine: Machine, kind: str) -> str:
-    """Return a name for the machine's system that python-control accepts."""
-    return "".join(c if c.isalnum() else "_" for c in f"{machine.name}_{kind}")
-

@@ -7,10 +7,9 @@ z' = Gavg z + f_m + (G_m - Gavg) zbar. The remainder of each step carries that t
 import numpy as np
 
 from ltvpneu._arrays import not_negative, positive
-from ltvpneu.models.linearize import Linearization, LtvModel, assemble, linearize_steps, system_name
+from ltvpneu.models.linearize import Linearization, LtvModel, assemble, linearize_steps
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.operating_points import LEAST_DISTANCE, held_inside, mean_state, quasi_static_states
-from ltvpneu.models.staircase import fine_staircase, staircase
+from ltvpneu.models.operating_points import LEAST_DISTANCE, Turn, held_inside, quasi_static_turn
 
 
 def lti_model(
@@ -52,23 +51,29 @@ def lti_model(
     >>> print(f"{1e3 * orbit.amplitude('position'):.0f} mm")
     50 mm
     """
+    turn = quasi_static_turn(machine, n_steps)
+    return lti_model_of_turn(machine, frequency, turn, about_operating_point, least_distance)
+
+
+def lti_model_of_turn(
+    machine: Machine, frequency: float, turn: Turn, about_operating_point: bool, least_distance: float
+) -> LtvModel:
+    """Return the LTI model for a turn whose quasi-static states are known."""
     positive("frequency", frequency, "Hz")
     not_negative("least_distance", least_distance)
-    stairs = staircase(machine, machine.openings.fractions.size - 1 if n_steps is None else n_steps)
-    point = mean_state(machine, fine_staircase(machine))
-    asked = np.tile(point, (stairs.areas.shape[0], 1))
-    points, held_back = held_inside(
-        machine, stairs.areas, asked, quasi_static_states(machine, stairs.areas), least_distance
-    )
+    stairs = turn.stairs
+    asked = np.broadcast_to(turn.mean, turn.quasi_static.shape)
+    points, held_back = held_inside(machine, turn, asked, least_distance)
     each = linearize_steps(machine, points, stairs.areas, "paper")
-    average = np.tensordot(np.diff(stairs.fractions), each.A, axes=1)
+    weights = np.diff(stairs.fractions)
+    average = np.sum(weights[:, None, None] * each.A, axis=0)
     r = each.r
     if about_operating_point:
-        r = r + np.einsum("mij,mj->mi", each.A - average, points)
+        r = r + ((each.A - average) @ points[:, :, None])[:, :, 0]
     A = np.broadcast_to(average, each.A.shape)
     averaged = Linearization(A=A, B=each.B, r=r, f=each.B @ machine.levels + r)
     return LtvModel(
-        system=assemble(machine, frequency, stairs, averaged, system_name(machine, "lti")),
+        system=assemble(machine, frequency, stairs, averaged, f"{machine.identifier}_lti"),
         machine=machine,
         frequency=float(frequency),
         operating_points=points,

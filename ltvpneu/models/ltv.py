@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltvpneu._arrays import FloatArray, finite_array, not_negative, positive
-from ltvpneu.models.linearize import LtvModel, Tangent, assemble, linearize_steps, system_name
-from ltvpneu.models.lti import lti_model
+from ltvpneu.models.linearize import LtvModel, Tangent, assemble, linearize_steps
+from ltvpneu.models.lti import lti_model_of_turn
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.operating_points import LEAST_DISTANCE, held_inside, mean_state, quasi_static_states
-from ltvpneu.models.staircase import Staircase, fine_staircase, staircase
+from ltvpneu.models.operating_points import LEAST_DISTANCE, Turn, held_inside, quasi_static_turn
+from ltvpneu.models.staircase import staircase
 from ltvpneu.periodic.exponential import ExponentialTrajectory
-from ltvpneu.periodic.steady import steady_state
+from ltvpneu.periodic.steady import periodic_states
 
 OperatingPoints = Literal["lti", "mean", "quasi-static", "quasi-static-steps"]
 MODES: tuple[OperatingPoints, ...] = ("lti", "mean", "quasi-static", "quasi-static-steps")
@@ -71,22 +71,22 @@ def ltv_model(
     not_negative("least_distance", least_distance)
     if position not in ("constant", "variable"):
         raise ValueError(f'position: found {position!r}, expected "constant" or "variable"')
-    stairs = staircase(machine, n_steps)
-    iterations, mode = 0, "given"
-    if not isinstance(operating_points, str):
-        points, held_back = finite_array("operating_points", operating_points, (n_steps, len(machine.states))), ()
-    else:
+    iterations, mode, held_back = 0, "given", ()
+    if isinstance(operating_points, str):
         mode = operating_points
+        turn = quasi_static_turn(machine, n_steps)
+        stairs = turn.stairs
         iterations = 1 if mode in ("lti", "mean") else 0
-        asked = _asked(machine, frequency, stairs, operating_points, least_distance)
-        quasi_static = quasi_static_states(machine, stairs.areas)
+        asked = _asked(machine, frequency, turn, operating_points, least_distance)
         if position == "constant":
-            asked[:, 0] = mean_state(machine, fine_staircase(machine))[0]
-        points, held_back = held_inside(machine, stairs.areas, asked, quasi_static, least_distance)
+            asked[:, 0] = turn.mean[0]
+        points, held_back = held_inside(machine, turn, asked, least_distance)
+    else:
+        stairs = staircase(machine, n_steps)
+        points = finite_array("operating_points", operating_points, (n_steps, len(machine.states)))
+    linearization = linearize_steps(machine, points, stairs.areas, tangent)
     return LtvModel(
-        system=assemble(
-            machine, frequency, stairs, linearize_steps(machine, points, stairs.areas, tangent), system_name(machine, "ltv")
-        ),
+        system=assemble(machine, frequency, stairs, linearization, f"{machine.identifier}_ltv"),
         machine=machine,
         frequency=float(frequency),
         operating_points=points,
@@ -98,21 +98,19 @@ def ltv_model(
 
 
 def _asked(
-    machine: Machine, frequency: float, stairs: Staircase, mode: OperatingPoints, least_distance: float
+    machine: Machine, frequency: float, turn: Turn, mode: OperatingPoints, least_distance: float
 ) -> FloatArray:
     """Return the operating points that a mode asks for, shape (n_steps, n)."""
-    N = stairs.areas.shape[0]
+    N = turn.stairs.areas.shape[0]
     if mode == "quasi-static":
-        return np.tile(mean_state(machine, fine_staircase(machine)), (N, 1))
+        return np.tile(turn.mean, (N, 1))
     if mode == "quasi-static-steps":
-        return quasi_static_states(machine, stairs.areas)
+        return turn.quasi_static.copy()
     if mode not in ("lti", "mean"):
         raise ValueError(f"operating_points: found {mode!r}, expected one of {', '.join(MODES)}, or an array of states")
-    cycle = lti_model(machine, frequency, n_steps=N, least_distance=least_distance)
-    trajectory = steady_state(cycle.system).trajectory
-    assert isinstance(trajectory, ExponentialTrajectory)
-    means = trajectory.step_means()[:, : len(machine.states)]
+    system = lti_model_of_turn(machine, frequency, turn, True, least_distance).system
+    cycle = ExponentialTrajectory(system=system, step_states=periodic_states(system)[:-1])
+    means = cycle.step_means()
     if mode == "mean":
-        return np.tile(np.diff(stairs.fractions) @ means, (N, 1))
-    # The nonlinear velocity does not enter the paper's G; its mean over a step of the cycle is kept for the full tangent.
+        return np.tile(np.diff(turn.stairs.fractions) @ means, (N, 1))
     return means

@@ -211,6 +211,11 @@ class Machine:
 
     # What the models read ----------------------------------------------------------------------------------------------
 
+    @cached_property
+    def identifier(self) -> str:
+        """The name as python-control accepts it for a system: letters, digits and underscores."""
+        return "".join(c if c.isalnum() else "_" for c in self.name)
+
     @property
     def duty(self) -> float:
         """On-time over period [-]."""
@@ -221,7 +226,7 @@ class Machine:
         """Whether the piston can stick."""
         return self.load.dry_friction > 0 or self.load.stiction > 0
 
-    @property
+    @cached_property
     def states(self) -> tuple[str, ...]:
         """Names of the states: position [m], velocity [m/s], then the chambers' pressures [Pa, absolute]."""
         return ("position", "velocity", *(f"pressure_{name[-1]}" for name in self.cylinder.chambers))

@@ -5,27 +5,50 @@ go above the supply. They are held inside the range of the quasi-static pressure
 flow is infinite; what was held back is reported.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu.models.dynamics import equilibrium_pressures, external_force, source_range
+from ltvpneu.models.dynamics import settled_pressures, source_ranges
 from ltvpneu.models.linearize import HeldBack
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.staircase import Staircase
+from ltvpneu.models.staircase import Staircase, fine_staircase, staircase
 
 LEAST_DISTANCE = 0.02
 """Default relative distance kept from the pressure of a source that a chamber is open to [-]."""
+
+
+class Turn(NamedTuple):
+    """What the linear models know of a turn of the valve before they know its speed."""
+
+    stairs: Staircase
+    quasi_static: FloatArray
+    """State that each step would settle on, (16), shape (n_steps, n)."""
+    mean: FloatArray
+    """zbar, the mean over the turn of the quasi-static states, (15)-(16), shape (n,)."""
+
+
+def quasi_static_turn(machine: Machine, n_steps: int | None) -> Turn:
+    """Return the staircase of a turn and its quasi-static states; by default one step for each linear piece.
+
+    Raises
+    ------
+    ValueError
+        The load has no spring, so no position is balanced; fewer steps than valve positions.
+    """
+    stairs = staircase(machine, machine.openings.fractions.size - 1 if n_steps is None else n_steps)
+    fine = fine_staircase(machine)
+    states = quasi_static_states(machine, stairs.areas)
+    finely = states if fine.fractions.size == stairs.fractions.size else quasi_static_states(machine, fine.areas)
+    widths = np.diff(fine.fractions)
+    return Turn(stairs, states, widths @ finely)
 
 
 def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
     """Return the states that each step would settle on if the valve stood still, (16) with erratum E10, (n_steps, n).
 
     Velocity is zero, friction neglected; a shut chamber keeps the pressure of the step before.
-
-    Raises
-    ------
-    ValueError
-        The load has no spring, so no position is balanced.
     """
     load = machine.load
     if load.spring_stiffness == 0:
@@ -33,44 +56,33 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
             "load.spring_stiffness: found 0, expected above zero: without a spring no position balances the pressures. Give "
             "ltv_model the operating points as an array of states, one row a step, or use the nonlinear model"
         )
-    arrays, n = machine.arrays, len(machine.states)
-    states = np.zeros((areas.shape[0], n))
-    pressures = machine.rest_state[2:]
-    # Twice round: a chamber shut at the start of the turn keeps what the last step left.
-    for step in [*range(areas.shape[0]), *range(areas.shape[0])]:
-        pressures = equilibrium_pressures(areas[step], arrays, pressures)
-        states[step, 2:] = pressures
-    for state in states:
-        state[0] = external_force(state, arrays) / load.spring_stiffness
+    arrays = machine.arrays
+    states = np.zeros((areas.shape[0], len(machine.states)))
+    states[:, 2:] = settled_pressures(areas, arrays, machine.rest_state[2:])
+    force = load.force + arrays.load.open_push_area * machine.exhaust_pressure
+    states[:, 0] = (states[:, 2:] @ arrays.chambers[:, 3] + force) / load.spring_stiffness
     return states
 
 
-def mean_state(machine: Machine, stairs: Staircase) -> FloatArray:
-    """Return zbar: the mean over the turn of the quasi-static states, (15)-(16), shape (n,)."""
-    return np.diff(stairs.fractions) @ quasi_static_states(machine, stairs.areas)
-
-
 def held_inside(
-    machine: Machine, areas: FloatArray, asked: FloatArray, quasi_static: FloatArray, least_distance: float
+    machine: Machine, turn: Turn, asked: FloatArray, least_distance: float
 ) -> tuple[FloatArray, tuple[HeldBack, ...]]:
     """Return the operating points (n_steps, n) kept inside their range, and a list of those that were moved.
 
     Position and pressures stay within the range of the quasi-static ones; pressures at least `least_distance`, relative,
     away from those of the sources that the chamber is open to.
     """
-    used = asked.copy()
-    for column in (0, *range(2, asked.shape[1])):
-        used[:, column] = np.clip(asked[:, column], quasi_static[:, column].min(), quasi_static[:, column].max())
+    low, high = turn.quasi_static.min(axis=0), turn.quasi_static.max(axis=0)
+    # The velocity has no quasi-static range.
+    low[1], high[1] = -np.inf, np.inf
+    used = np.clip(asked, low, high)
     supply, exhaust = machine.supply_pressure, machine.exhaust_pressure
-    for step in range(asked.shape[0]):
-        for k in range(asked.shape[1] - 2):
-            low, high = source_range(k, areas[step], machine.arrays)
-            if low > high:
-                continue
-            floor = exhaust * (1 + least_distance) if low == exhaust else -np.inf
-            ceiling = supply * (1 - least_distance) if high == supply else np.inf
-            pressure = min(max(float(used[step, 2 + k]), floor), ceiling)
-            used[step, 2 + k] = pressure if floor <= ceiling else (supply + exhaust) / 2
+    sources = source_ranges(turn.stairs.areas, machine.arrays)
+    floor = np.where(sources[:, :, 0] == exhaust, exhaust * (1 + least_distance), -np.inf)
+    ceiling = np.where(sources[:, :, 1] == supply, supply * (1 - least_distance), np.inf)
+    held = np.minimum(np.maximum(used[:, 2:], floor), ceiling)
+    # Between sources too near each other there is no room: the middle is farthest from both.
+    used[:, 2:] = np.where(floor <= ceiling, held, (supply + exhaust) / 2)
     moved = np.argwhere(used != asked)
     return used, tuple(
         HeldBack(

@@ -55,6 +55,8 @@ def fine_staircase(machine: Machine, steps_per_ramp: int = 32) -> Staircase:
 def _rises(table: OpeningTable) -> FloatArray:
     """Largest change of any area over each piece, relative to that area's maximum, shape (n_pieces,)."""
     at_start, at_end = table.areas[:, (0, 2)], table.areas[:, (1, 3)]
+    if np.array_equal(at_start, at_end):
+        return np.zeros(at_start.shape[0])
     # An absent second restriction is infinite throughout, a path never open zero throughout: neither changes.
     with np.errstate(invalid="ignore"):
         changes = np.abs(at_end - at_start) / np.max(table.areas, axis=0)[(0, 2),]
@@ -62,6 +64,8 @@ def _rises(table: OpeningTable) -> FloatArray:
 
 
 def _subdivided(table: OpeningTable, counts: FloatArray) -> FloatArray:
+    if (counts == 1).all():
+        return table.fractions
     pieces = [
         np.linspace(begin, end, int(count), endpoint=False)
         for begin, end, count in zip(table.fractions[:-1], table.fractions[1:], counts, strict=True)
@@ -70,6 +74,8 @@ def _subdivided(table: OpeningTable, counts: FloatArray) -> FloatArray:
 
 
 def _split(table: OpeningTable, n_steps: int) -> FloatArray:
+    if n_steps == table.fractions.size - 1:
+        return table.fractions
     sizes = np.diff(table.fractions) * (1 + _rises(table))
     counts = np.ones(sizes.size)
     for _ in range(n_steps - sizes.size):
@@ -110,6 +116,8 @@ def _merge_costs(table: OpeningTable, fractions: FloatArray) -> FloatArray:
 
 def _step_means(table: OpeningTable, fractions: FloatArray) -> FloatArray:
     """Means of the areas over each step, shape (n_steps, 2, n_paths)."""
+    if fractions is table.fractions:
+        return (table.areas[:, (0, 2)] + table.areas[:, (1, 3)]) / 2
     cuts = np.union1d(table.fractions, fractions)
     middles, widths = (cuts[:-1] + cuts[1:]) / 2, np.diff(cuts)
     piece = np.searchsorted(table.fractions, middles) - 1

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu.periodic.propagate import ScaledSteps, exponentials
+from ltvpneu.periodic.propagate import exponentials
 from ltvpneu.periodic.system import PeriodicSystem
 
 
@@ -28,24 +28,23 @@ class ExponentialTrajectory:
     """One period of a solution of a periodic system."""
 
     system: PeriodicSystem
-    steps: ScaledSteps
     step_states: FloatArray
     """State at the start of each step, shape (n_steps, n)."""
 
     @cached_property
     def _starts(self) -> FloatArray:
-        return self.steps.augmented(self.step_states)
+        return self.system.scaled.augmented(self.step_states)
 
     @cached_property
     def _rows(self) -> FloatArray:
         """Signals over the balanced augmented state, shape (n_steps, n_signals, n + 1)."""
-        system, scales = self.system, self.steps.scales
+        system, scales = self.system, self.system.scaled.scales
         n = system.n_states
         extra = [i for i, name in enumerate(system.outputs) if name not in system.states]
         rows = np.zeros((system.n_steps, n + len(extra), n + 1))
         rows[:, :n, :n] = np.diag(scales)
         rows[:, n:, :n] = system.C[:, extra] * scales
-        rows[:, n:, n] = system.output_bias[:, extra] / self.steps.unit
+        rows[:, n:, n] = system.output_bias[:, extra] / self.system.scaled.unit
         return rows
 
     def at(self, times: FloatArray) -> FloatArray:
@@ -53,17 +52,19 @@ class ExponentialTrajectory:
         boundaries = self.system.switching_times
         step = np.clip(np.searchsorted(boundaries, times, side="right") - 1, 0, self.system.n_steps - 1)
         local = np.clip(times - boundaries[step], 0.0, self.system.durations[step])
-        maps = exponentials(self.steps.matrices[step] * local[:, None, None])
+        maps = exponentials(self.system.scaled.matrices[step] * local[:, None, None])
         states = np.einsum("tij,tj->ti", maps, self._starts[step])
         return np.einsum("tsi,ti->st", self._rows[step], states)
 
     def step_means(self) -> FloatArray:
         """Return the mean of every signal over every step, shape (n_steps, n_signals); (17) with erratum E10."""
-        integrals = step_integrals(self.steps.matrices, self.system.durations)
-        sums = np.einsum("msi,mij,mj->ms", self._rows, integrals, self._starts)
+        integrals = step_integrals(self.system.scaled.matrices, self.system.durations)
+        sums = (self._rows @ (integrals @ self._starts[:, :, None]))[:, :, 0]
         durations = self.system.durations[:, None]
-        at_start = np.einsum("msi,mi->ms", self._rows, self._starts)
+        if self.system.durations.all():
+            return sums / durations
         # A step of no duration has its start for a mean.
+        at_start = (self._rows @ self._starts[:, :, None])[:, :, 0]
         return np.where(durations > 0, sums / np.where(durations > 0, durations, 1.0), at_start)
 
     @cached_property
@@ -86,10 +87,10 @@ class ExponentialTrajectory:
         return float(found.min()), float(found.max())
 
     def _slope_rows(self, signal: int) -> FloatArray:
-        return np.einsum("mi,mij->mj", self._rows[:, signal], self.steps.matrices)
+        return np.einsum("mi,mij->mj", self._rows[:, signal], self.system.scaled.matrices)
 
     def _value_at_root(self, step: int, left: int, signal: int, slope: FloatArray) -> float:
-        matrix, duration = self.steps.matrices[step], self.system.durations[step]
+        matrix, duration = self.system.scaled.matrices[step], self.system.durations[step]
         start = self._sampled_states[step, left]
 
         def state(time: float) -> FloatArray:
@@ -106,7 +107,7 @@ class ExponentialTrajectory:
     @cached_property
     def _shares(self) -> FloatArray:
         """Shares of a step at which its states are sampled: evenly for oscillation, halving to 0 for decay."""
-        eigenvalues = np.linalg.eigvals(self.steps.matrices[:, :-1, :-1]) * self.system.durations[:, None]
+        eigenvalues = np.linalg.eigvals(self.system.scaled.matrices[:, :-1, :-1]) * self.system.durations[:, None]
         swings = float(np.max(np.abs(eigenvalues.imag)))
         decay = float(np.max(np.abs(eigenvalues)))
         even = np.linspace(0.0, 1.0, 5 + int(np.ceil(4 * swings / np.pi)))
@@ -117,7 +118,7 @@ class ExponentialTrajectory:
     def _sampled_states(self) -> FloatArray:
         """Balanced augmented states at the sampled shares of all steps, shape (n_steps, n_shares, n + 1)."""
         local = self.system.durations[:, None] * self._shares
-        maps = exponentials(self.steps.matrices[:, None] * local[:, :, None, None])
+        maps = exponentials(self.system.scaled.matrices[:, None] * local[:, :, None, None])
         return np.einsum("mjik,mk->mji", maps, self._starts)
 
     @cached_property

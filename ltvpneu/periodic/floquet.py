@@ -3,15 +3,14 @@
 Only the multipliers, the eigenvalues of the map over one period, decide: stability in each step is neither needed nor enough.
 """
 
+import math
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eig
 
 from ltvpneu._arrays import FloatArray, not_negative, read_only
-from ltvpneu.periodic.propagate import step_maps
 from ltvpneu.periodic.system import PeriodicSystem
 
 ComplexArray = NDArray[np.complex128]
@@ -28,7 +27,7 @@ def monodromy(system: PeriodicSystem) -> FloatArray:
     >>> math.isclose(lp.monodromy(system)[0, 0], math.exp(-2))
     True
     """
-    maps = step_maps(system)
+    maps = system.maps
     scales = maps.steps.scales
     return read_only(maps.over_period()[:-1, :-1] * (scales[:, None] / scales))
 
@@ -95,7 +94,7 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     'stable'
     """
     not_negative("least_margin", least_margin)
-    maps = step_maps(system)
+    maps = system.maps
     product = maps.maps[0, :-1, :-1]
     log_scale, growth = 0.0, 1.0
     for step in maps.maps[1:, :-1, :-1]:
@@ -105,26 +104,38 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
         growth = max(growth, size)
         if size > 0 and not 1e-100 < size < 1e100:
             product = product / size
-            log_scale += np.log(size)
-    values, left, right = eig(product, left=True, right=True)
+            log_scale += math.log(size)
+    values, right = np.linalg.eig(product)
     with np.errstate(divide="ignore"):
         log_moduli = np.log(np.abs(values)) + log_scale
     order = np.lexsort((-values.imag, -log_moduli))
-    values, left, right, log_moduli = values[order], left[:, order], right[:, order], log_moduli[order]
+    values, right, log_moduli = values[order], right[:, order], log_moduli[order]
     multipliers = np.exp(log_moduli) * np.exp(1j * np.angle(values))
     scales = maps.steps.scales
     modes = scales[:, None] * right
-    backward_error = np.finfo(float).eps * system.n_states * np.sqrt(system.n_steps)
-    backward_error *= max(float(np.linalg.norm(product, 2)) * np.exp(log_scale), 1.0)
-    # Condition of a simple eigenvalue: 1 / |y* x|; near a defective one the error is its root instead.
-    conditions = 1.0 / np.maximum(np.abs(np.sum(left.conj() * right, axis=0)), np.finfo(float).tiny)
-    near = np.abs(multipliers) > 0.5 * np.abs(multipliers[0])
-    simple = float(np.max(conditions[near])) * backward_error
-    defective = backward_error ** (1.0 / system.n_states)
+    backward_error = np.finfo(float).eps * system.n_states * math.sqrt(system.n_steps)
+    backward_error *= max(float(np.linalg.norm(product)) * math.exp(log_scale), 1.0)
     return Floquet(
         multipliers=multipliers,
         log_moduli=read_only(log_moduli),
         modes=modes / np.linalg.norm(modes, axis=0),
-        margin=max(least_margin, 10 * min(simple, defective)),
+        margin=max(least_margin, 10 * _eigenvalue_error(right, multipliers, backward_error)),
         period=system.period,
     )
+
+
+def _eigenvalue_error(vectors: ComplexArray, multipliers: ComplexArray, backward_error: float) -> float:
+    """Bound the rounding error of the multipliers near the largest, from their condition numbers.
+
+    A simple eigenvalue moves by its condition number times the backward error; near a defective one, where that number has no
+    bound, by the n-th root of the backward error.
+    """
+    defective = backward_error ** (1.0 / multipliers.size)
+    try:
+        left = np.linalg.inv(vectors)
+    except np.linalg.LinAlgError:
+        return defective
+    # The eigenvectors have unit length, so the norms of the rows of the inverse are the condition numbers.
+    conditions = np.sqrt(np.sum(np.abs(left) ** 2, axis=1))
+    near = np.abs(multipliers) >= 0.5 * np.abs(multipliers[0])
+    return min(float(np.max(conditions[near])) * backward_error, defective)

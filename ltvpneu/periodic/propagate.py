@@ -6,16 +6,17 @@ No inverse of A is needed, so a singular step (a shut chamber, erratum E8) is li
 the forcing scaled before exponentiating: in SI units the entries span nine decades.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from typing import final
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.linalg.lapack import dgebal
 from threadpoolctl import ThreadpoolController
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu.periodic.system import PeriodicSystem
 
 
 @cache
@@ -26,8 +27,11 @@ def _blas() -> ThreadpoolController:
 def exponentials(matrices: FloatArray) -> FloatArray:
     """Exponentials of a stack of small matrices, shape (..., k, k).
 
-    On one BLAS thread: on tiny matrices more threads cost five to twenty times as much on a busy machine.
+    Long stacks go on one BLAS thread: on tiny matrices more threads cost five to twenty times as much on a busy machine.
+    For short ones asking for that would cost more than it saves.
     """
+    if matrices.shape[0] < 64:
+        return expm(matrices)
     with _blas().limit(limits=1, user_api="blas"):
         return expm(matrices)
 
@@ -56,18 +60,25 @@ class ScaledSteps:
         return augmented[..., :-1] * self.scales
 
 
-def scaled_steps(system: PeriodicSystem) -> ScaledSteps:
-    """Return the augmented matrices of all steps in balanced coordinates."""
-    scales, n = system.state_scales, system.n_states
-    A = system.A * (scales / scales[:, None])
-    f = system.f / scales
+def balancing_scales(A: FloatArray, durations: FloatArray) -> FloatArray:
+    """Powers of two by which to divide the states so that all steps together are balanced, shape (n,)."""
+    N, n = A.shape[:2]
+    together = (durations @ np.abs(A).reshape(N, n * n)).reshape(n, n)
+    scales: FloatArray = dgebal(together, scale=1, permute=0)[3]
+    return scales
+
+
+def scaled_steps(A: FloatArray, f: FloatArray, durations: FloatArray) -> ScaledSteps:
+    """Return augmented matrices in balanced coordinates from A (N, n, n), f (N, n) and durations (N,)."""
+    scales, (N, n) = balancing_scales(A, durations), f.shape
+    scaled = f / scales
     # The largest forcing over a step becomes about one, so that it does not spoil the scaling of the exponential.
-    largest = float(np.max(np.abs(f) * system.durations[:, None], initial=0.0))
-    unit = 2.0 ** np.round(np.log2(largest)) if largest > 0 else 1.0
-    matrices = np.zeros((system.n_steps, n + 1, n + 1))
-    matrices[:, :n, :n] = A
-    matrices[:, :n, n] = f / unit
-    return ScaledSteps(matrices=matrices, scales=scales, unit=float(unit))
+    largest = float(np.max(np.abs(scaled) * durations[:, None], initial=0.0))
+    unit = 2.0 ** round(math.log2(largest)) if largest > 0 else 1.0
+    matrices = np.zeros((N, n + 1, n + 1))
+    matrices[:, :n, :n] = A * (scales / scales[:, None])
+    matrices[:, :n, n] = scaled / unit
+    return ScaledSteps(matrices=matrices, scales=scales, unit=unit)
 
 
 @final
@@ -98,10 +109,9 @@ class StepMaps:
         return total
 
 
-def step_maps(system: PeriodicSystem) -> StepMaps:
+def step_maps(steps: ScaledSteps, durations: FloatArray) -> StepMaps:
     """Return the maps over all steps, (11) without its inverse."""
-    steps = scaled_steps(system)
-    return StepMaps(maps=exponentials(steps.matrices * system.durations[:, None, None]), steps=steps)
+    return StepMaps(maps=exponentials(steps.matrices * durations[:, None, None]), steps=steps)
 
 
 def states_from(maps: StepMaps, initial_state: FloatArray) -> FloatArray:

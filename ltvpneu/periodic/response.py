@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import finite_array, whole
 from ltvpneu.periodic import bridge
-from ltvpneu.periodic.propagate import exponentials, scaled_steps
+from ltvpneu.periodic.propagate import exponentials
 from ltvpneu.periodic.system import PeriodicSystem
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def response(
     start = np.zeros(system.n_states)
     if initial_state is not None:
         start = finite_array("initial_state", initial_state, (system.n_states,))
-    steps = scaled_steps(system)
+    steps = system.scaled
     state = steps.augmented(start)
     local_times = [
         np.linspace(0.0, duration, 1 + int(np.ceil(points_per_period * duration / system.period)))

@@ -11,7 +11,7 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu.errors import NonUniqueOrbitError, NoOrbitError
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.propagate import StepMaps, states_from, step_maps
+from ltvpneu.periodic.propagate import StepMaps, states_from
 from ltvpneu.periodic.system import PeriodicSystem
 
 
@@ -46,7 +46,15 @@ def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Or
     ...
     ltvpneu.errors.NoOrbitError: no periodic steady state: a Floquet multiplier is one and every period drifts by z1 +0.25...
     """
-    maps = step_maps(system)
+    return _orbit(system, periodic_states(system, singular_below))
+
+
+def periodic_states(system: PeriodicSystem, singular_below: float = 1e-12) -> FloatArray:
+    """Return the periodic state at the start of every step and at the end of the last, shape (n_steps + 1, n).
+
+    Raises as `steady_state` does.
+    """
+    maps = system.maps
     total = maps.over_period()
     n = system.n_states
     gap = np.eye(n) - total[:n, :n]
@@ -55,12 +63,11 @@ def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Or
     null = values <= singular_below * max(1.0, values[0])
     if null.any():
         _raise_singular(system, maps, (left, values, right, null), forcing)
-    scaled = np.linalg.solve(gap, forcing)
-    return _orbit(system, maps, maps.steps.scales * scaled)
+    scaled = right.T @ ((left.T @ forcing) / values)
+    return states_from(maps, maps.steps.scales * scaled)
 
 
-def _orbit(system: PeriodicSystem, maps: StepMaps, initial_state: FloatArray) -> Orbit:
-    reached = states_from(maps, initial_state)
+def _orbit(system: PeriodicSystem, reached: FloatArray) -> Orbit:
     scales = np.maximum(np.max(np.abs(reached), axis=0), np.finfo(float).tiny)
     return Orbit(
         system_period=system.period,
@@ -68,7 +75,7 @@ def _orbit(system: PeriodicSystem, maps: StepMaps, initial_state: FloatArray) ->
         step_times=system.switching_times,
         step_states=reached[:-1],
         step_labels=tuple(f"step {m + 1}" for m in range(system.n_steps)),
-        trajectory=ExponentialTrajectory(system=system, steps=maps.steps, step_states=reached[:-1]),
+        trajectory=ExponentialTrajectory(system=system, step_states=reached[:-1]),
         states=system.states,
         outputs=system.outputs,
         is_unique=True,

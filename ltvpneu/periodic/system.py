@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import matrix_balance
 
 from ltvpneu._arrays import FloatArray, finite_array, read_only
 from ltvpneu.periodic import bridge
+from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step_maps
 
 if TYPE_CHECKING:
     import control
@@ -233,13 +233,11 @@ class PeriodicSystem:
         )  # fmt: skip
 
     @cached_property
-    def state_scales(self) -> FloatArray:
-        """Powers of two by which the states are divided so that all steps together are balanced, shape (n,)."""
-        from_steps = np.sum(np.abs(self.A) * self.durations[:, None, None], axis=0)
-        return read_only(balancing_scales(from_steps))
+    def scaled(self) -> ScaledSteps:
+        """The steps in balanced, augmented coordinates."""
+        return scaled_steps(self.A, self.f, self.durations)
 
-
-def balancing_scales(matrix: FloatArray) -> FloatArray:
-    """Powers of two d for which diag(1/d) |matrix| diag(d) has rows and columns of like size, shape (n,)."""
-    scales: FloatArray = matrix_balance(matrix, permute=False, separate=True)[1][0]
-    return scales
+    @cached_property
+    def maps(self) -> StepMaps:
+        """The maps over all steps, which orbit, multipliers and response share."""
+        return step_maps(self.scaled, self.durations)

@@ -15,8 +15,9 @@ two half-circle windows overlap from max(0, theta_s) to pi + min(0, theta_s).
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import pairwise
 from typing import Literal, final
 
@@ -88,6 +89,8 @@ class Profile:
     def refined(self, angles: FloatArray) -> "Profile":
         """Return the same function with further piece ends at `angles` [rad]."""
         merged = merge_angles(self.angles, angles)
+        if merged.size == self.angles.size:
+            return self
         middles = (merged[:-1] + merged[1:]) / 2
         piece = np.clip(np.searchsorted(self.angles, middles) - 1, 0, self.starts.size - 1)
         left, width = self.angles[piece], np.diff(self.angles)[piece]
@@ -120,6 +123,11 @@ class Profile:
         return Profile(
             angles=a.angles, starts=np.minimum(a.starts, b.starts), ends=np.minimum(a.ends, b.ends)
         )
+
+
+def _sum(profiles: Iterable[Profile]) -> Profile:
+    found = tuple(profiles)
+    return reduce(Profile.plus, found) if found else Profile.constant(0.0)
 
 
 def merge_angles(*lists: FloatArray) -> FloatArray:
@@ -294,19 +302,17 @@ class RotaryValve:
 
     def way_area(self, way: str, volume: str) -> Profile:
         """Effective area C A between a way and an inner volume over the turn [m^2], eq. (1)."""
-        total = Profile.constant(0.0)
-        for port in self.ports:
-            if (port.way, port.volume) == (way, volume):
-                scale = port.discharge_coefficient * port.area
-                total = total.plus(self.window(port).profile.scaled(scale))
-        return total
+        return _sum(
+            self.window(port).profile.scaled(port.discharge_coefficient * port.area)
+            for port in self.ports
+            if (port.way, port.volume) == (way, volume)
+        )
 
     def collapsed_area(self, way: str, other: str) -> Profile:
         """Effective area between two ways, the inner volumes collapsed to points [m^2], eq. (2)."""
-        total = Profile.constant(0.0)
-        for volume in self.volumes:
-            total = total.plus(self.way_area(way, volume).minimum(self.way_area(other, volume)))
-        return total
+        return _sum(
+            self.way_area(way, volume).minimum(self.way_area(other, volume)) for volume in self.volumes
+        )
 
     def on_window(self) -> Window:
         """Return the arc over which the ports of phase "on" are all open."""
