@@ -64,7 +64,9 @@ def positive(name: str, value: float, unit: str = "") -> float:
     """Return the value as a float if it is finite and above zero."""
     number = _number(name, value)
     if not (math.isfinite(number) and number > 0):
-        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number above zero{_of(unit)}")
+        raise ValueError(
+            f"{name}: found {number:g}{_of(unit)}, expected a finite number above zero{_of(unit)}"
+        )
     return number
 
 
@@ -72,7 +74,9 @@ def not_negative(name: str, value: float, unit: str = "") -> float:
     """Return the value as a float if it is finite and not below zero."""
     number = _number(name, value)
     if not (math.isfinite(number) and number >= 0):
-        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number, zero or more{_of(unit)}")
+        raise ValueError(
+            f"{name}: found {number:g}{_of(unit)}, expected a finite number, zero or more{_of(unit)}"
+        )
     return number
 
 

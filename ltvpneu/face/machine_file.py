@@ -43,7 +43,12 @@ _LOAD = {
     "mass": Key("mass", True), "spring_stiffness": Key("stiffness"), "viscous_damping": Key("damping"),
     "dry_friction": Key("force"), "stiction": Key("force"), "force": Key("force"),
 }  # fmt: skip
-_ROTARY = {"type": Key(str, True), "offset_angle": Key("angle"), "duty": Key("number"), "ports": Key(list, True)}
+_ROTARY = {
+    "type": Key(str, True),
+    "offset_angle": Key("angle"),
+    "duty": Key("number"),
+    "ports": Key(list, True),
+}
 _ON_OFF = {"type": Key(str, True), "duty": Key("number"), "ramp": Key("angle")}
 _PORT = {
     "way": Key(str, True), "area": Key("area", True), "discharge_coefficient": Key("number", True),
@@ -60,7 +65,9 @@ _FLOW_PATH = {
 def bundled_machines() -> tuple[str, ...]:
     """Return the names of the machines that come with the package."""
     folder = resources.files("ltvpneu") / "machines"
-    return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
+    return tuple(
+        sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+    )
 
 
 def load_machine(source: str | Path) -> Machine:
@@ -117,7 +124,10 @@ def parse_machine(text: str, file: str) -> Machine:
         _flow_path(entry, file, f"flow_paths[{i}]") for i, entry in enumerate(top.pop("flow_paths", []))
     )
     return _build(
-        Machine, {**top, "gas": gas, "cylinder": cylinder, "load": load, "valve": valve, "flow_paths": paths}, file, ""
+        Machine,
+        {**top, "gas": gas, "cylinder": cylinder, "load": load, "valve": valve, "flow_paths": paths},
+        file,
+        "",
     )
 
 
@@ -146,12 +156,18 @@ def _flow_path(data: object, file: str, where: str) -> FlowPath:
     if "opens_at" in found or "open_for" in found:
         for key in ("opens_at", "open_for"):
             if key not in found:
-                raise MachineFileError(f"{file}: {where}.{key}: missing, expected an angle beside the other of the window")
+                raise MachineFileError(
+                    f"{file}: {where}.{key}: missing, expected an angle beside the other of the window"
+                )
         if "opening" in found:
-            raise MachineFileError(f"{file}: {where}.opening: found it beside opens_at and open_for, expected one or the other")
+            raise MachineFileError(
+                f"{file}: {where}.opening: found it beside opens_at and open_for, expected one or the other"
+            )
         found["opening"] = _window(found, file, where)
     elif "ramp" in found:
-        raise MachineFileError(f"{file}: {where}.ramp: found it without opens_at and open_for, expected all three")
+        raise MachineFileError(
+            f"{file}: {where}.ramp: found it without opens_at and open_for, expected all three"
+        )
     return _build(FlowPath, found, file, where)
 
 
@@ -191,7 +207,11 @@ def _entry(value: object, kind: Kind, file: str, where: str) -> Any:
 
 
 def _build(
-    make: Callable[..., T], values: dict[str, Any], file: str, where: str, keys: Mapping[str, str] | None = None
+    make: Callable[..., T],
+    values: dict[str, Any],
+    file: str,
+    where: str,
+    keys: Mapping[str, str] | None = None,
 ) -> T:
     """Build a checked value; its complaint, which begins with the field, gets the file and the table before it."""
     try:
@@ -210,5 +230,10 @@ def _nearest(name: str, known: tuple[str, ...]) -> str:
 
 
 def _kind_name(kind: Kind) -> str:
-    names: dict[Kind, str] = {str: "a string", bool: "true or false", dict: "a table", list: "an array of tables"}
+    names: dict[Kind, str] = {
+        str: "a string",
+        bool: "true or false",
+        dict: "a table",
+        list: "an array of tables",
+    }
     return names.get(kind, f"a quantity: {kind}")

@@ -136,4 +136,6 @@ def _orbit(
         return nonlinear_orbit(machine, frequency)
     if model == "lti":
         return steady_state(lti_model(machine, frequency).system)
-    return steady_state(ltv_model(machine, frequency, n_steps=n_steps, operating_points=operating_points).system)
+    return steady_state(
+        ltv_model(machine, frequency, n_steps=n_steps, operating_points=operating_points).system
+    )

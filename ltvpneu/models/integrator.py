@@ -240,7 +240,12 @@ def _fixed_step(
 
 @compiled
 def _rest_at_source(
-    h: float, before: FloatArray, rate: FloatArray, areas: FloatArray, machine: MachineArrays, state: FloatArray
+    h: float,
+    before: FloatArray,
+    rate: FloatArray,
+    areas: FloatArray,
+    machine: MachineArrays,
+    state: FloatArray,
 ) -> None:
     """Let a chamber of a resting piston come to rest at the pressure of the one source it is open to.
 

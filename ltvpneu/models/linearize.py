@@ -82,8 +82,14 @@ def linearize(
         raise ValueError("angle, areas: found both, expected one of them")
     else:
         openings = np.array(areas, dtype=np.float64)
-        if openings.shape != (2, len(machine.connections)) or np.isnan(openings).any() or (openings < 0).any():
-            raise ValueError(f"areas: found {openings.tolist()}, expected numbers >= 0 of shape (2, {len(machine.connections)})")
+        if (
+            openings.shape != (2, len(machine.connections))
+            or np.isnan(openings).any()
+            or (openings < 0).any()
+        ):
+            raise ValueError(
+                f"areas: found {openings.tolist()}, expected numbers >= 0 of shape (2, {len(machine.connections)})"
+            )
     found = linearize_steps(machine, point[None], openings[None], tangent)
     return Linearization(A=found.A[0], B=found.B[0], r=found.r[0], f=found.f[0])
 
@@ -95,7 +101,9 @@ def areas_at(machine: Machine, angle: float) -> FloatArray:
     return np.array([first, second])
 
 
-def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tangent: Tangent) -> Linearization:
+def linearize_steps(
+    machine: Machine, states: FloatArray, areas: FloatArray, tangent: Tangent
+) -> Linearization:
     """Return the linear models near one state per step, shapes (n_steps, n) and (n_steps, 2, n_paths)."""
     if tangent not in ("paper", "full"):
         raise ValueError(f'tangent: found {tangent!r}, expected "paper" or "full"')
@@ -105,7 +113,9 @@ def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tan
     A, B = tangents(states, areas, arrays, full)
     if not np.isfinite(A).all():
         step = int(np.argwhere(~np.isfinite(A))[0][0])
-        where = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, states[step], strict=True))
+        where = ", ".join(
+            f"{name} {value:.6g}" for name, value in zip(machine.states, states[step], strict=True)
+        )
         raise ValueError(
             f"operating point of step {step + 1}: found {where}, a pressure equal to that of a source it is open to, where the "
             "slope of the flow is infinite; expected pressures apart from the sources'"

@@ -66,7 +66,8 @@ def lti_model_of_turn(
     points, held_back = held_inside(machine, turn, asked, least_distance)
     each = linearize_steps(machine, points, stairs.areas, "paper")
     weights = np.diff(stairs.fractions)
-    average = np.sum(weights[:, None, None] * each.A, axis=0)
+    # From the first step's on, so that entries equal in all steps stay equal to the last bit.
+    average = each.A[0] + np.sum(weights[:, None, None] * (each.A - each.A[0]), axis=0)
     r = each.r
     if about_operating_point:
         r = r + ((each.A - average) @ points[:, :, None])[:, :, 0]

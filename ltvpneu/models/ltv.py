@@ -107,7 +107,9 @@ def _asked(
     if mode == "quasi-static-steps":
         return turn.quasi_static.copy()
     if mode not in ("lti", "mean"):
-        raise ValueError(f"operating_points: found {mode!r}, expected one of {', '.join(MODES)}, or an array of states")
+        raise ValueError(
+            f"operating_points: found {mode!r}, expected one of {', '.join(MODES)}, or an array of states"
+        )
     system = lti_model_of_turn(machine, frequency, turn, True, least_distance).system
     cycle = ExponentialTrajectory(system=system, step_states=periodic_states(system)[:-1])
     means = cycle.step_means()

@@ -138,9 +138,7 @@ def nonlinear_orbit(
     schedule = _schedule(machine, period)
     arrays, scales = machine.arrays, machine.state_scales
     max_periods = whole("max_periods", max_periods)
-    found = settle(
-        start, schedule, arrays, settings, scales, positive("tolerance", tolerance), max_periods
-    )
+    found = settle(start, schedule, arrays, settings, scales, positive("tolerance", tolerance), max_periods)
     if found.status != OK:
         _raise_stopped(machine, found.status, found.time, found.state)
     if found.n_periods == 0:
@@ -217,7 +215,9 @@ def simulate(
     machines = [machine] * n_periods
     if duty_by_period is not None:
         if len(duty_by_period) != n_periods:
-            raise ValueError(f"duty_by_period: found {len(duty_by_period)} values, expected n_periods = {n_periods}")
+            raise ValueError(
+                f"duty_by_period: found {len(duty_by_period)} values, expected n_periods = {n_periods}"
+            )
         duties = [check_duty(duty, f"duty_by_period[{i}]") for i, duty in enumerate(duty_by_period)]
         by_duty = {duty: machine.with_duty(duty) for duty in set(duties)}
         machines = [by_duty[duty] for duty in duties]
@@ -269,15 +269,22 @@ def _initial_state(machine: Machine, initial_state: ArrayLike | None) -> FloatAr
     for k, name in enumerate(machine.states[2:]):
         positive(f"initial_state: {name}", state[2 + k], "Pa")
         volume = chamber_volume(k, float(state[0]), machine.arrays)
-        positive(f"initial_state: volume of {machine.cylinder.chambers[k]} at position {state[0]:g} m", volume, "m^3")
+        positive(
+            f"initial_state: volume of {machine.cylinder.chambers[k]} at position {state[0]:g} m",
+            volume,
+            "m^3",
+        )
     return state
 
 
 def _raise_stopped(machine: Machine, status: int, time: float, state: FloatArray) -> None:
     where = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, state, strict=True))
-    if status == VOLUME_GONE:
-        volumes = [chamber_volume(k, float(state[0]), machine.arrays) for k in range(len(machine.cylinder.chambers))]
-        chamber = machine.cylinder.chambers[int(np.argmin(volumes))]
+    chambers = machine.cylinder.chambers
+    volumes = np.array([chamber_volume(k, float(state[0]), machine.arrays) for k in range(len(chambers))])
+    shares = volumes / machine.arrays.chambers[:, 0]
+    # Near a vanishing volume the pressure's rate grows without bound, so the step size may give out first.
+    if status == VOLUME_GONE or shares.min() < 1e-3:
+        chamber = chambers[int(np.argmin(shares))]
         raise ChamberVolumeError(
             f"the volume of {chamber} would reach zero at t = {time:.6g} s ({where}). Give the cylinder end stops "
             f"(cylinder.lower_stop, cylinder.upper_stop), a larger cylinder.dead_volume_{chamber[-1]}, or a stiffer spring.",
@@ -296,14 +303,20 @@ def _polynomial(records: Sequence[Record], period: float) -> PPoly:
     starts = np.concatenate([number * period + record.starts for number, record in enumerate(records)])
     coefficients = np.concatenate([record.coefficients for record in records])
     # PPoly wants the highest power first and (power, interval, state).
-    return PPoly(np.moveaxis(coefficients[:, ::-1], 1, 0), np.append(starts, len(records) * period), extrapolate=False)
+    return PPoly(
+        np.moveaxis(coefficients[:, ::-1], 1, 0), np.append(starts, len(records) * period), extrapolate=False
+    )
 
 
 def _orbit(machine: Machine, period: float, records: list[Record], reached: tuple[int, float]) -> Orbit:
     trajectory = PolynomialTrajectory(polynomial=_polynomial(records, period))
     modes = np.concatenate([record.modes for record in records])
     starts = trajectory.polynomial.x[:-1]
-    switches = [number * period + t for number in range(len(records)) for t in machine.openings.fractions[:-1] * period]
+    switches = [
+        number * period + t
+        for number in range(len(records))
+        for t in machine.openings.fractions[:-1] * period
+    ]
     at_switch = np.isin(starts, switches)
     begins = np.flatnonzero(at_switch | np.concatenate([[True], modes[1:] != modes[:-1]]))
     labels = {STUCK: "stuck", 1: "moves up", -1: "moves down"}

@@ -40,7 +40,9 @@ def quasi_static_turn(machine: Machine, n_steps: int | None) -> Turn:
     stairs = staircase(machine, machine.openings.fractions.size - 1 if n_steps is None else n_steps)
     fine = fine_staircase(machine)
     states = quasi_static_states(machine, stairs.areas)
-    finely = states if fine.fractions.size == stairs.fractions.size else quasi_static_states(machine, fine.areas)
+    finely = (
+        states if fine.fractions.size == stairs.fractions.size else quasi_static_states(machine, fine.areas)
+    )
     widths = np.diff(fine.fractions)
     return Turn(stairs, states, widths @ finely)
 
@@ -60,7 +62,9 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
     states = np.zeros((areas.shape[0], len(machine.states)))
     states[:, 2:] = settled_pressures(areas, arrays, machine.rest_state[2:])
     force = load.force + arrays.load.open_push_area * machine.exhaust_pressure
-    states[:, 0] = (states[:, 2:] @ arrays.chambers[:, 3] + force) / load.spring_stiffness
+    balanced = (states[:, 2:] @ arrays.chambers[:, 3] + force) / load.spring_stiffness
+    # What the spring does not bear, an end stop does.
+    states[:, 0] = np.clip(balanced, machine.cylinder.lower_stop, machine.cylinder.upper_stop)
     return states
 
 

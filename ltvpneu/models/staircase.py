@@ -1,8 +1,8 @@
 """The staircase (10): any opening profile as a given number of steps, each with the step means of the areas.
 
 Steps end where the profile jumps, so at least as many are needed as the valve has positions (N_0). Further ones go to the longest
-piece of the profile, a ramp counting more than a plateau by its rise; with fewer steps than pieces, ramps are halved and
-the pieces merged that differ least.
+piece of the profile, a ramp counting more than a plateau by its rise; with fewer steps than pieces, boundaries fall on piece
+ends and middles of ramps, so that the staircase is as near to the profile as it can be.
 """
 
 from typing import NamedTuple
@@ -84,34 +84,63 @@ def _split(table: OpeningTable, n_steps: int) -> FloatArray:
 
 
 def _merged(table: OpeningTable, n_steps: int) -> FloatArray:
+    """Return the boundaries, among piece ends and middles of ramps, of the staircase nearest to the profile.
+
+    Nearest in the mean square of all areas, each relative to its maximum; found by dynamic programming.
+    """
     counts = np.where(_rises(table) > 0, 2, 1)
-    fractions = _subdivided(table, counts)
+    candidates = _subdivided(table, counts)
     jumps = _jumps(table)
-    while fractions.size - 1 > n_steps:
-        costs = _merge_costs(table, fractions)
-        costs[np.isin(fractions[1:-1], jumps)] = np.inf
-        if not np.isfinite(costs).any():
-            raise ValueError(
-                f"n_steps: found {n_steps}, expected at least {jumps.size + 1}, the number of valve positions between "
-                "jumps of the openings"
-            )
-        fractions = np.delete(fractions, 1 + int(np.argmin(costs)))
-    return fractions
+    if n_steps < jumps.size + 1:
+        raise ValueError(
+            f"n_steps: found {n_steps}, expected at least {jumps.size + 1}, the number of valve positions between jumps of "
+            "the openings"
+        )
+    cost = _step_costs(table, candidates, jumps)
+    last = candidates.size - 1
+    best, chosen = cost[0], []
+    for _ in range(n_steps - 1):
+        through = best[:, None] + cost
+        chosen.append(np.argmin(through, axis=0))
+        best = np.min(through, axis=0)
+    boundaries = [last]
+    for before in reversed(chosen):
+        boundaries.append(int(before[boundaries[-1]]))
+    return candidates[[0, *reversed(boundaries)]]
 
 
 def _jumps(table: OpeningTable) -> FloatArray:
     ends, starts = table.areas[:-1, (1, 3)], table.areas[1:, (0, 2)]
-    jumps = np.any(ends != starts, axis=(1, 2))
+    with np.errstate(invalid="ignore"):
+        changes = np.abs(starts - ends) / np.max(table.areas, axis=0)[(0, 2),]
+    # Where two pieces of a ramp meet, their ends may differ by rounding.
+    jumps = np.any(np.nan_to_num(changes) > 1e-9, axis=(1, 2))
     return table.fractions[1:-1][jumps]
 
 
-def _merge_costs(table: OpeningTable, fractions: FloatArray) -> FloatArray:
-    """Growth of the squared error of the staircase if the step before and after each inner boundary became one."""
-    widths, means = np.diff(fractions), _step_means(table, fractions)
-    weights = widths[:-1] * widths[1:] / (widths[:-1] + widths[1:])
+def _step_costs(table: OpeningTable, candidates: FloatArray, jumps: FloatArray) -> FloatArray:
+    """Squared error of one step from candidate i to j, infinite where j is not after i or a jump lies between, (K, K)."""
+    widths = np.diff(candidates)
+    means = _step_means(table, candidates)
     with np.errstate(invalid="ignore"):
-        differences = (means[1:] - means[:-1]) / np.max(table.areas, axis=0)[(0, 2),]
-    return weights * np.sum(np.nan_to_num(differences) ** 2, axis=(1, 2))
+        means = np.nan_to_num(means / np.max(table.areas, axis=0)[(0, 2),])
+    # What varies within a candidate interval is lost whatever is merged, so the interval's mean stands for it.
+    first = np.cumsum(
+        np.concatenate([np.zeros((1, *means.shape[1:])), widths[:, None, None] * means]), axis=0
+    )
+    second = np.cumsum(
+        np.concatenate([np.zeros((1, *means.shape[1:])), widths[:, None, None] * means**2]), axis=0
+    )
+    spans = candidates[None, :] - candidates[:, None]
+    allowed = (spans > 0) & (
+        np.searchsorted(jumps, candidates)[None, :]
+        <= np.searchsorted(jumps, candidates, side="right")[:, None]
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        errors = (second[None] - second[:, None]) - (first[None] - first[:, None]) ** 2 / spans[
+            :, :, None, None
+        ]
+    return np.where(allowed, np.sum(errors, axis=(2, 3)), np.inf)
 
 
 def _step_means(table: OpeningTable, fractions: FloatArray) -> FloatArray:

@@ -102,12 +102,16 @@ class ExponentialTrajectory:
         # The sample beyond was computed another way: at a root on the boundary rounding may leave no change of sign.
         if ends[0] * ends[1] >= 0:
             return float(self._rows[step, signal] @ start)
-        return float(self._rows[step, signal] @ state(brentq(slope_at, 0.0, span, xtol=1e-15 * duration, rtol=1e-14)))
+        return float(
+            self._rows[step, signal] @ state(brentq(slope_at, 0.0, span, xtol=1e-15 * duration, rtol=1e-14))
+        )
 
     @cached_property
     def _shares(self) -> FloatArray:
         """Shares of a step at which its states are sampled: evenly for oscillation, halving to 0 for decay."""
-        eigenvalues = np.linalg.eigvals(self.system.scaled.matrices[:, :-1, :-1]) * self.system.durations[:, None]
+        eigenvalues = (
+            np.linalg.eigvals(self.system.scaled.matrices[:, :-1, :-1]) * self.system.durations[:, None]
+        )
         swings = float(np.max(np.abs(eigenvalues.imag)))
         decay = float(np.max(np.abs(eigenvalues)))
         even = np.linspace(0.0, 1.0, 5 + int(np.ceil(4 * swings / np.pi)))

@@ -117,7 +117,9 @@ def _raise_singular(
     least_norm = particular - directions @ (directions.T @ particular)
     gap = float(values[null].max() / max(1.0, values[0]))
     shown = "; ".join(
-        ", ".join(f"{name} {x:+.3g}" for name, x in zip(system.states, direction, strict=True) if abs(x) > 1e-12)
+        ", ".join(
+            f"{name} {x:+.3g}" for name, x in zip(system.states, direction, strict=True) if abs(x) > 1e-12
+        )
         for direction in directions.T
     )
     raise NonUniqueOrbitError(

@@ -114,7 +114,9 @@ class PeriodicSystem:
         N = durations.size
         if (durations < 0).any():
             worst = int(np.argmin(durations))
-            raise ValueError(f"durations: found {durations[worst]:g} s in step {worst}, expected none negative")
+            raise ValueError(
+                f"durations: found {durations[worst]:g} s in step {worst}, expected none negative"
+            )
         if not durations.any():
             raise ValueError("durations: found a period of 0 s, expected at least one step longer than zero")
         A = finite_array("A", self.A, (N, None, None))

@@ -50,7 +50,9 @@ class Cylinder:
                 positive(f"dead_volume_{side}", volume, "m^3")
             exponent = getattr(self, f"polytropic_exponent_{side}")
             if finite(f"polytropic_exponent_{side}", exponent) < 1:
-                raise ValueError(f"polytropic_exponent_{side}: found {exponent:g}, expected 1 (isothermal) or more")
+                raise ValueError(
+                    f"polytropic_exponent_{side}: found {exponent:g}, expected 1 (isothermal) or more"
+                )
         finite("seal_friction_area", self.seal_friction_area, "m^2")
         if self.dead_volume_1 is None and self.dead_volume_2 is None:
             raise ValueError("dead_volume_1, dead_volume_2: found neither, expected at least one chamber")
@@ -63,9 +65,17 @@ class Cylinder:
 
     def _check_stop_volumes(self) -> None:
         if self.dead_volume_1 is not None and math.isfinite(self.lower_stop):
-            positive("dead_volume_1 at the lower stop", self.dead_volume_1 + self.piston_area_1 * self.lower_stop, "m^3")
+            positive(
+                "dead_volume_1 at the lower stop",
+                self.dead_volume_1 + self.piston_area_1 * self.lower_stop,
+                "m^3",
+            )
         if self.dead_volume_2 is not None and math.isfinite(self.upper_stop):
-            positive("dead_volume_2 at the upper stop", self.dead_volume_2 - self.piston_area_2 * self.upper_stop, "m^3")
+            positive(
+                "dead_volume_2 at the upper stop",
+                self.dead_volume_2 - self.piston_area_2 * self.upper_stop,
+                "m^3",
+            )
 
     @property
     def chambers(self) -> tuple[str, ...]:

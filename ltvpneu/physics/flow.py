@@ -131,9 +131,7 @@ def _forward_slope(
 
 
 @compiled
-def mass_flow(
-    first: float, second: float, source: GasState, chamber: GasState, gas: GasConstants
-) -> float:
+def mass_flow(first: float, second: float, source: GasState, chamber: GasState, gas: GasConstants) -> float:
     """Mass flow into a chamber through one restriction, or two in series [kg/s]; negative when it leaves, eq. (6).
 
     Parameters
@@ -168,8 +166,12 @@ def mass_flow_slopes(
         flow = _forward(first, second, source.pressure, chamber.pressure, source.temperature, gas)
         return (flow - chamber.pressure * by_chamber) / source.pressure, by_chamber
     if math.isinf(second):
-        by_source = -_forward_slope(first, second, chamber.pressure, source.pressure, chamber.temperature, gas)
+        by_source = -_forward_slope(
+            first, second, chamber.pressure, source.pressure, chamber.temperature, gas
+        )
     else:
-        by_source = -_forward_slope(second, first, chamber.pressure, source.pressure, chamber.temperature, gas)
+        by_source = -_forward_slope(
+            second, first, chamber.pressure, source.pressure, chamber.temperature, gas
+        )
     flow = -_backward(first, second, source, chamber, gas)
     return by_source, (flow - source.pressure * by_source) / chamber.pressure

@@ -23,7 +23,7 @@ from typing import Literal, final
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray, finite, finite_array, not_negative, read_only
+from ltvpneu._arrays import FloatArray, finite, finite_array, not_negative
 
 TURN = 2 * math.pi
 # Two angles nearer than this are the same switching instant; 1e-9 of a turn is 1 ns at 1 Hz.
@@ -81,10 +81,13 @@ class Profile:
 
     def mean(self, begin: float, end: float) -> float:
         """Return the exact mean between two angles [rad], 0 <= begin < end <= 2 pi."""
-        cut = self.refined(np.array([begin, end]))
-        inside = (cut.angles[:-1] >= begin) & (cut.angles[1:] <= end)
-        widths = np.diff(cut.angles)[inside]
-        return float(np.sum(widths * (cut.starts + cut.ends)[inside]) / 2 / np.sum(widths))
+        return (self._integral(end) - self._integral(begin)) / (end - begin)
+
+    def _integral(self, angle: float) -> float:
+        """Integral from 0 to an angle, 0 to 2 pi."""
+        widths = np.clip(angle - self.angles[:-1], 0.0, np.diff(self.angles))
+        slopes = (self.ends - self.starts) / np.diff(self.angles)
+        return float(np.sum(widths * (self.starts + slopes * widths / 2)))
 
     def refined(self, angles: FloatArray) -> "Profile":
         """Return the same function with further piece ends at `angles` [rad]."""
@@ -185,14 +188,13 @@ class Window:
         half = np.diff(angles) / 2
         inside = (middles - self.start) % TURN
         # Each piece is linear, so its ends follow from its middle without asking on which side of a jump they lie.
-        return Profile(
-            angles=angles, starts=self._opening(inside, -half), ends=self._opening(inside, half)
-        )
+        return Profile(angles=angles, starts=self._opening(inside, -half), ends=self._opening(inside, half))
 
     def _opening(self, middle: FloatArray, shift: FloatArray) -> FloatArray:
         at = middle + shift
         opening = np.ones_like(at)
-        if self.ramp > 0:
+        # A ramp shorter than what tells two angles apart is a jump.
+        if self.ramp > SAME_ANGLE:
             opening = np.minimum(1.0, np.minimum(at, self.width - at) / self.ramp)
         return np.where(middle < self.width, np.maximum(opening, 0.0), 0.0)
 
@@ -374,7 +376,9 @@ def _support(profile: Profile) -> Window:
         return Window(start=0.0, width=TURN)
     if not open_pieces.any():
         return Window(start=0.0, width=0.0)
-    risings = [i for i, (before, now) in enumerate(pairwise([open_pieces[-1], *open_pieces])) if now and not before]
+    risings = [
+        i for i, (before, now) in enumerate(pairwise([open_pieces[-1], *open_pieces])) if now and not before
+    ]
     if len(risings) > 1:
         raise ValueError(
             f'ports: found {len(risings)} arcs on which the "on" ports are all open, expected one; give the flow path a '
@@ -382,25 +386,3 @@ def _support(profile: Profile) -> Window:
         )
     width = float(np.sum(np.diff(profile.angles)[open_pieces]))
     return Window(start=float(profile.angles[risings[0]]), width=width)
-
-
-def staircase_area(profile: Profile, boundaries: FloatArray) -> FloatArray:
-    """Step means of a profile, eq. (10a); one value for each interval of `boundaries` [rad].
-
-    Parameters
-    ----------
-    profile : Profile
-    boundaries : ndarray, shape (n_steps + 1,)
-        Step boundaries, rising from 0 to 2 pi.
-
-    Returns
-    -------
-    ndarray, shape (n_steps,)
-    """
-    cut = profile.refined(boundaries)
-    widths = np.diff(cut.angles)
-    step = np.searchsorted(boundaries, (cut.angles[:-1] + cut.angles[1:]) / 2) - 1
-    area = np.zeros(boundaries.size - 1)
-    np.add.at(area, step, widths * (cut.starts + cut.ends) / 2)
-    return read_only(area / np.diff(boundaries))
-

@@ -1,0 +1,382 @@
+"""Tables of a study for the terminal, and the same figures as plain data for a JSON file."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu.face.study import Case, Study
+from ltvpneu.models.linearize import LtvModel
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.operating_points import quasi_static_turn
+from ltvpneu.periodic.floquet import Floquet
+from ltvpneu.periodic.orbit import Orbit
+
+LABELS = {"nonlinear": "nonlinear", "ltv": "LTV", "lti": "LTI"}
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return aligned columns: the first to the left, the others to the right."""
+    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
+
+    def line(row: Sequence[str]) -> str:
+        cells = [
+            row[0].ljust(widths[0]),
+            *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)),
+        ]
+        return "  " + "   ".join(cells).rstrip()
+
+    return "\n".join([line(header), line(["-" * width for width in widths]), *(line(row) for row in rows)])
+
+
+def heading(text: str) -> str:
+    """Return a title with a line under it."""
+    return f"\n{text}\n{'=' * len(text)}\n"
+
+
+def study_text(study: Study) -> str:
+    """Return the whole report."""
+    machine = study.machine
+    parts = [heading(f"{machine.name}: the machine"), machine_table(machine)]
+    parts += [heading("Where are the models linearized, and what are G_m and f_m?"), operating_text(study)]
+    parts += [heading("Is it stable?"), stability_table(study.cases)]
+    if study.frictionless:
+        title = "What is the periodic steady state? (dry friction in the nonlinear model only)"
+        parts += [heading(title), cycle_table(study.cases)]
+        parts += [
+            heading("The same without dry friction: like against like"),
+            cycle_table(study.frictionless),
+        ]
+    else:
+        parts += [heading("What is the periodic steady state?"), cycle_table(study.cases)]
+    parts += [heading("How does the amplitude fall with frequency?"), response_table(study)]
+    return "\n".join(parts) + "\n"
+
+
+def machine_table(machine: Machine) -> str:
+    """Return what the machine is, in shop units."""
+    cylinder, load = machine.cylinder, machine.load
+    chambers = ", ".join(name.replace("_", " ") for name in cylinder.chambers)
+    rows = [
+        [
+            "supply / exhaust pressure",
+            f"{machine.supply_pressure / 1e5:.4g} / {machine.exhaust_pressure / 1e5:.4g} bar abs",
+        ],
+        ["duty cycle", f"{machine.duty:.4g}"],
+        ["chambers", f"{chambers} ({'single' if len(cylinder.chambers) == 1 else 'double'}-acting)"],
+        [
+            "piston areas 1 / 2",
+            f"{1e6 * cylinder.piston_area_1:.4g} / {1e6 * cylinder.piston_area_2:.4g} mm²",
+        ],
+        [
+            "mass, spring, damping",
+            f"{load.mass:.4g} kg, {load.spring_stiffness:.4g} N/m, {load.viscous_damping:.4g} N s/m",
+        ],
+        ["dry friction / stiction", f"{load.dry_friction:.4g} / {load.stiction:.4g} N"],
+        ["collapse of the valve's volume", machine.collapse],
+    ]
+    for connection in machine.connections:
+        area = 1e6 * float(np.max([connection.first.starts.max(), connection.first.ends.max()]))
+        rows.append(
+            [
+                f"{connection.source} to {connection.chamber.replace('_', ' ')}",
+                f"at most {area:.4g} mm² effective",
+            ]
+        )
+    width = max(len(row[0]) for row in rows)
+    return "\n".join(f"  {name.ljust(width)}   {value}" for name, value in rows)
+
+
+def operating_text(study: Study) -> str:
+    """Return operating points of every case, and the matrices of the middle one."""
+    machine = study.machine
+    rows: list[list[str]] = []
+    for case in study.cases:
+        for name, model in case.models.items():
+            for step, point in enumerate(model.operating_points):
+                held = any(h.step == step for h in model.held_back)
+                pressures = [f"{p / 1e5:.4f}" for p in point[2:]]
+                duration = f"{1e3 * model.system.durations[step]:.4g}"
+                rows.append(
+                    [
+                        f"{case.frequency:g} Hz {LABELS[name]}",
+                        str(step + 1),
+                        duration,
+                        f"{1e3 * point[0]:.2f}",
+                        *pressures,
+                    ]
+                    + ["yes" if held else ""]
+                )
+    if not rows:
+        return "  none: " + "; ".join(case.failures.get("ltv", "") for case in study.cases)
+    names = [f"{name.replace('_', ' ')} [bar]" for name in machine.states[2:]]
+    text = [table(["model", "step", "duration [ms]", "position [mm]", *names, "held back"], rows)]
+    text += _held_back_text(study)
+    case = study.cases[len(study.cases) // 2]
+    for name, model in case.models.items():
+        text += [
+            "",
+            f"  {LABELS[name]} at {case.frequency:g} Hz, z = ({', '.join(machine.states)}), SI units:",
+        ]
+        same = name == "lti"
+        for step in range(1 if same else model.system.n_steps):
+            text.append(_matrix_text("G" if same else f"G_{step + 1}", model.system.A[step]))
+        for step in range(model.system.n_steps):
+            text.append("  " + f"f_{step + 1}".ljust(5) + _row_text(model.system.f[step]))
+    return "\n".join(text)
+
+
+def _held_back_text(study: Study) -> list[str]:
+    lines: list[str] = []
+    for case in study.cases:
+        for name, model in case.models.items():
+            lines += [
+                f"  held back: {case.frequency:g} Hz {LABELS[name]} step {held.step + 1} {held.state}: "
+                f"asked {held.asked:.6g}, used {held.used:.6g}"
+                for held in model.held_back
+            ]
+    if lines:
+        distance = next(model.least_distance for case in study.cases for model in case.models.values())
+        lines.append(
+            f"  (kept in the quasi-static range and {100 * distance:g} % away from the pressures of open sources)"
+        )
+    return lines
+
+
+def _matrix_text(name: str, matrix: FloatArray) -> str:
+    rows = [_row_text(row) for row in matrix]
+    return "\n".join("  " + (name if i == 0 else "").ljust(5) + row for i, row in enumerate(rows))
+
+
+def _row_text(row: FloatArray) -> str:
+    return "[" + " ".join(f"{value:12.5g}" for value in row) + " ]"
+
+
+def stability_table(cases: Sequence[Case]) -> str:
+    """Return multipliers and verdicts."""
+    rows = [
+        [
+            f"{case.frequency:g} Hz {LABELS[name]}",
+            multipliers_text(found),
+            f"{found.spectral_radius:.6f}",
+            found.verdict,
+        ]
+        for case in cases
+        for name, found in case.floquets.items()
+    ]
+    rows += [
+        [f"{case.frequency:g} Hz {LABELS[n]}", f"failed: {why}", "", ""]
+        for case in cases
+        for n, why in case.failures.items()
+    ]
+    return table(["model", "multipliers", "radius", "verdict"], rows)
+
+
+def multipliers_text(found: Floquet) -> str:
+    """Return the multipliers, a pair of complex ones as one."""
+    parts: list[str] = []
+    for value in found.multipliers:
+        if abs(value.imag) <= 1e-12 * abs(value):
+            parts.append(f"{value.real:.4g}")
+        elif value.imag > 0:
+            parts.append(f"{value.real:.4g} ± {value.imag:.4g}j")
+    return ", ".join(parts)
+
+
+def cycle_table(cases: Sequence[Case]) -> str:
+    """Return amplitude, mean and pressures of the models, with errors against the nonlinear one."""
+    rows: list[list[str]] = []
+    pressures = cases[0].machine.states[2:]
+    for case in cases:
+        reference = case.orbits.get("nonlinear")
+        for name, orbit in case.orbits.items():
+            rows.append([f"{case.frequency:g} Hz {LABELS[name]}", *_cycle_cells(orbit, reference, pressures)])
+        rows += [
+            [f"{case.frequency:g} Hz {LABELS[name]}", *[""] * (4 + len(pressures)), why]
+            for name, why in case.failures.items()
+        ]
+    names = [f"{name.replace('_', ' ')} [bar]" for name in pressures]
+    return table(["model", "amplitude [mm]", "error", "mean [mm]", "error [mm]", *names, "remark"], rows)
+
+
+def _cycle_cells(orbit: Orbit, reference: Orbit | None, pressures: Sequence[str]) -> list[str]:
+    amplitude, mean = orbit.amplitude("position"), orbit.mean("position")
+    error, shift = "", ""
+    if reference is not None and orbit is not reference:
+        of_reference = reference.amplitude("position")
+        # A piston that rests moves by rounding only: a ratio would mean nothing.
+        error = f"{100 * (amplitude / of_reference - 1):+.1f} %" if of_reference > 1e-7 else ""
+        shift = f"{1e3 * (mean - reference.mean('position')):+.2f}"
+    ranges = [f"{orbit.minimum(p) / 1e5:.3f} to {orbit.maximum(p) / 1e5:.3f}" for p in pressures]
+    return [f"{1e3 * amplitude:.3f}", error, f"{1e3 * mean:.2f}", shift, *ranges, remark(orbit)]
+
+
+def remark(orbit: Orbit) -> str:
+    """Return what is special about an orbit."""
+    found: list[str] = []
+    if not orbit.is_unique:
+        found.append("one of a stiction band")
+    if orbit.n_periods > 1:
+        found.append(f"repeats every {orbit.n_periods} periods")
+    return ", ".join(found)
+
+
+def response_table(study: Study) -> str:
+    """Return amplitude over frequency."""
+    response = study.response
+    rows: list[list[str]] = []
+    for column, frequency in enumerate(response.frequencies):
+        cells = [
+            f"{1e3 * value:.3f}" if math.isfinite(value) else "failed"
+            for value in response.amplitudes[:, column]
+        ]
+        rows.append([f"{frequency:.3g}", *cells, _response_remark(study, column)])
+    text = table(["frequency [Hz]", *(f"{LABELS[m]} [mm]" for m in response.models), "remark"], rows)
+    failures = [f"  {f.frequency:.3g} Hz {LABELS[f.model]}: {f.error}" for f in response.failures]
+    return "\n".join([text, *failures])
+
+
+def _response_remark(study: Study, column: int) -> str:
+    response = study.response
+    row = response.models.index("nonlinear")
+    found: list[str] = []
+    if response.is_unique[row, column] == 0:
+        found.append("stiction band")
+    if response.n_periods[row, column] > 1:
+        found.append(f"period {int(response.n_periods[row, column])}")
+    return ", ".join(found)
+
+
+# The same as plain data --------------------------------------------------------------------------------------------------
+
+
+def study_data(study: Study) -> dict[str, Any]:
+    """Return every figure of the report in SI units, ready for JSON; what is not finite is null."""
+    response = study.response
+    return _plain(
+        {
+            "units": "SI: m, s, Pa absolute, kg, rad, Hz",
+            "machine": machine_data(study.machine),
+            "n_steps": study.n_steps,
+            "cases": [case_data(case) for case in study.cases],
+            "cases_without_dry_friction": [case_data(case) for case in study.frictionless],
+            "amplitude_response": {
+                "signal": response.signal,
+                "frequencies": response.frequencies,
+                "amplitudes": {m: response.amplitudes[i] for i, m in enumerate(response.models)},
+                "means": {m: response.means[i] for i, m in enumerate(response.models)},
+                "n_periods": {m: response.n_periods[i] for i, m in enumerate(response.models)},
+                "is_unique": {m: response.is_unique[i] for i, m in enumerate(response.models)},
+                "failures": [
+                    {"model": f.model, "frequency": f.frequency, "error": str(f.error)}
+                    for f in response.failures
+                ],
+            },
+        }
+    )
+
+
+def machine_data(machine: Machine) -> dict[str, Any]:
+    """Return what a machine is."""
+    cylinder, load, gas = machine.cylinder, machine.load, machine.gas
+    data: dict[str, Any] = {
+        "name": machine.name,
+        "supply_pressure": machine.supply_pressure,
+        "exhaust_pressure": machine.exhaust_pressure,
+        "duty": machine.duty,
+        "collapse": machine.collapse,
+        "states": list(machine.states),
+        "cylinder": dict(vars(cylinder)),
+        "load": dict(vars(load)),
+        "gas": {
+            "heat_capacity_ratio": gas.heat_capacity_ratio,
+            "specific_gas_constant": gas.specific_gas_constant,
+            "temperature": gas.temperature,
+        },
+        "connections": [
+            {
+                "source": c.source,
+                "chamber": c.chamber,
+                "effective_area": float(max(c.first.starts.max(), c.first.ends.max())),
+            }
+            for c in machine.connections
+        ],
+    }
+    if machine.load.spring_stiffness > 0:
+        data["mean_quasi_static_state"] = quasi_static_turn(machine, None).mean
+    return data
+
+
+def case_data(case: Case) -> dict[str, Any]:
+    """Return every figure of one frequency."""
+    return {
+        "frequency": case.frequency,
+        "models": {name: model_data(model) for name, model in case.models.items()},
+        "floquet": {name: floquet_data(found) for name, found in case.floquets.items()},
+        "orbits": {name: orbit_data(orbit) for name, orbit in case.orbits.items()},
+        "failures": case.failures,
+    }
+
+
+def model_data(model: LtvModel) -> dict[str, Any]:
+    """Return the coefficients of a model."""
+    system = model.system
+    return {
+        "mode": model.mode,
+        "operating_points": model.operating_points,
+        "held_back": [dict(vars(held)) for held in model.held_back],
+        "least_distance": model.least_distance,
+        "durations": system.durations,
+        "G": system.A,
+        "f": system.f,
+        "B": system.B,
+        "inputs": list(system.inputs),
+        "levels": system.levels,
+    }
+
+
+def floquet_data(found: Floquet) -> dict[str, Any]:
+    """Return multipliers and verdict."""
+    return {
+        "multipliers": [[value.real, value.imag] for value in found.multipliers],
+        "log_moduli": found.log_moduli,
+        "spectral_radius": found.spectral_radius,
+        "margin": found.margin,
+        "verdict": found.verdict,
+    }
+
+
+def orbit_data(orbit: Orbit) -> dict[str, Any]:
+    """Return the figures of an orbit."""
+    return {
+        "is_unique": orbit.is_unique,
+        "n_periods": orbit.n_periods,
+        "residual": orbit.residual,
+        "initial_state": orbit.initial_state,
+        "signals": {
+            name: {
+                "amplitude": orbit.amplitude(name),
+                "mean": orbit.mean(name),
+                "minimum": orbit.minimum(name),
+                "maximum": orbit.maximum(name),
+            }
+            for name in orbit.signals
+        },
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return nested data with arrays as lists and numbers that JSON does not know as null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,118 @@
+"""The main job: one machine worked through by its three models. Figures only; `report` prints them, `pictures` draws them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu.errors import LtvpneuError
+from ltvpneu.models.amplitude import MODELS, AmplitudeResponse, amplitude_response
+from ltvpneu.models.linearize import LtvModel
+from ltvpneu.models.lti import lti_model
+from ltvpneu.models.ltv import OperatingPoints, ltv_model
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.nonlinear import nonlinear_orbit
+from ltvpneu.periodic.floquet import Floquet, floquet
+from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.steady import steady_state
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Case:
+    """One frequency, worked through. What failed is absent from the dicts and stands in `failures`."""
+
+    machine: Machine
+    frequency: float
+    models: dict[str, LtvModel]
+    floquets: dict[str, Floquet]
+    orbits: dict[str, Orbit]
+    failures: dict[str, str]
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Study:
+    """Everything that `ltvpneu study` prints and draws."""
+
+    machine: Machine
+    n_steps: int
+    cases: tuple[Case, ...]
+    frictionless: tuple[Case, ...]
+    """The same without dry friction, which the linear models neglect; empty where the machine has none."""
+    response: AmplitudeResponse
+
+
+def run_study(
+    machine: Machine,
+    frequencies: Sequence[float],
+    *,
+    n_steps: int,
+    operating_points: OperatingPoints,
+    grid: FloatArray,
+    progress: Callable[[int], object],
+) -> Study:
+    """Work a machine through; `progress` is called with 1 after each of `n_parts` parts."""
+
+    def cases(present: Machine) -> tuple[Case, ...]:
+        found: list[Case] = []
+        for frequency in frequencies:
+            found.append(run_case(present, frequency, n_steps, operating_points))
+            progress(1)
+        return tuple(found)
+
+    return Study(
+        machine=machine,
+        n_steps=n_steps,
+        cases=cases(machine),
+        frictionless=cases(machine.without_dry_friction()) if machine.has_dry_friction else (),
+        response=amplitude_response(
+            machine, grid, n_steps=n_steps, operating_points=operating_points, progress=progress
+        ),
+    )
+
+
+def n_parts(machine: Machine, frequencies: Sequence[float], grid: FloatArray) -> int:
+    """Return how many parts `run_study` reports."""
+    return len(frequencies) * (2 if machine.has_dry_friction else 1) + grid.size
+
+
+def run_case(machine: Machine, frequency: float, n_steps: int, operating_points: OperatingPoints) -> Case:
+    """Work one frequency through."""
+    models: dict[str, LtvModel] = {}
+    floquets: dict[str, Floquet] = {}
+    orbits: dict[str, Orbit] = {}
+    failures: dict[str, str] = {}
+    for name in MODELS:
+        try:
+            if name == "nonlinear":
+                orbits[name] = nonlinear_orbit(machine, frequency)
+                continue
+            model = (
+                ltv_model(machine, frequency, n_steps=n_steps, operating_points=operating_points)
+                if name == "ltv"
+                else lti_model(machine, frequency)
+            )
+            models[name], floquets[name] = model, floquet(model.system)
+            orbits[name] = steady_state(model.system)
+        except (LtvpneuError, ValueError) as error:
+            failures[name] = str(error)
+    return Case(
+        machine=machine,
+        frequency=frequency,
+        models=models,
+        floquets=floquets,
+        orbits=orbits,
+        failures=failures,
+    )
+
+
+def frequency_grid(frequencies: Sequence[float], n_points: int) -> FloatArray:
+    """Return frequencies for the response: half the lowest to one and a half times the highest, evenly on a log scale.
+
+    The frequencies themselves are among them.
+    """
+    even = np.geomspace(0.5 * min(frequencies), 1.5 * max(frequencies), n_points)
+    return np.union1d(even, np.array(frequencies, dtype=np.float64))

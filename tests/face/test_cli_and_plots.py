@@ -1,0 +1,242 @@
+"""The command line, its exit codes and files; pictures of every result."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import ltvpneu as lp
+from ltvpneu.face.cli import main
+
+
+def test_importing_the_package_loads_no_heavy_library():
+    code = "import sys, ltvpneu; print([m for m in ('control', 'cvxpy', 'matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_every_public_name_exists_and_is_documented():
+    for name in lp.__all__:
+        assert getattr(lp, name).__doc__, name
+
+
+def test_study_prints_tables_and_writes_pictures_and_json(tmp_path, capsys):
+    code = main(["study", "--frequency", "1", "4", "10", "--points", "5", "--out", str(tmp_path)])
+    printed = capsys.readouterr().out
+    assert code == 0
+    names = {path.name for path in tmp_path.iterdir()}
+    cycles = {f"cycle_{f}_Hz.png" for f in (1, 4, 10)}
+    assert names == {"valve_areas.png", "amplitude.png", "multipliers.png", "study.json"} | cycles
+    assert all(
+        (tmp_path / name).read_bytes().startswith(b"\x89PNG") for name in names if name.endswith("png")
+    )
+    data = json.loads((tmp_path / "study.json").read_text())
+    case = data["cases"][1]
+    amplitude = case["orbits"]["nonlinear"]["signals"]["position"]["amplitude"]
+    assert amplitude == pytest.approx(0.0352800444372215, rel=1e-5)
+    assert f"{1e3 * amplitude:.3f}" in printed
+    radius = case["floquet"]["ltv"]["spectral_radius"]
+    assert f"{radius:.6f}" in printed
+    assert f"{case['models']['ltv']['G'][0][2][2]:.5g}" in printed
+    assert [c["frequency"] for c in data["cases"]] == [1, 4, 10]
+    assert 4.0 in data["amplitude_response"]["frequencies"]
+    assert "held back: 4 Hz LTV step 1 pressure_1" in printed
+
+
+def test_study_of_a_double_acting_machine_at_duty_zero(tmp_path, capsys):
+    arguments = ["study", "double_acting_5_2", "--duty", "0", "--frequency", "5", "--points", "2"]
+    assert main([*arguments, "--out", str(tmp_path / "a" / "b")]) == 0
+    assert "pressure 2 [bar]" in capsys.readouterr().out
+
+
+def test_a_failing_model_leaves_the_others_standing(tmp_path, capsys):
+    """Without a spring the linear models have no operating point; the nonlinear one goes against its stop."""
+    text = tmp_path / "rig.toml"
+    text.write_text(SPRINGLESS)
+    assert (
+        main(["study", str(text), "--frequency", "5", "--points", "2", "--out", str(tmp_path / "out")]) == 0
+    )
+    printed = capsys.readouterr().out
+    assert "load.spring_stiffness: found 0" in printed
+    assert "5 Hz nonlinear" in printed
+    assert not (tmp_path / "out" / "multipliers.png").exists()
+
+
+SPRINGLESS = """
+name = "springless"
+supply_pressure = "4 bar(g)"
+exhaust_pressure = "1 bar"
+[cylinder]
+piston_area_1 = "6 cm^2"
+piston_area_2 = "6 cm^2"
+dead_volume_1 = "10 cm^3"
+lower_stop = "0 mm"
+upper_stop = "50 mm"
+[load]
+mass = "1 kg"
+viscous_damping = "20 N s/m"
+[valve]
+type = "on_off"
+duty = 0.9
+[[flow_paths]]
+source = "supply"
+chamber = "chamber_1"
+area = "5 mm^2"
+opening = "on"
+[[flow_paths]]
+source = "exhaust"
+chamber = "chamber_1"
+area = "1 mm^2"
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["kunt_singh_1990", "--frequency", "4"], 0),
+        (["kunt_singh_1990", "--frequency", "4", "10", "--duty", "0.3", "--n-steps", "6"], 0),
+        (["double_acting_5_2", "--frequency", "10", "--duty", "1"], 0),
+        (["unstable"], 1),
+        (["kunt_singh_1990", "--frequency", "0"], 2),
+        (["kunt_singh_1990", "--frequency", "4", "--duty", "1.5"], 2),
+        (["kunt_singh_1990", "--frequency", "4", "--n-steps", "1"], 2),
+        (["kunt_singh", "--frequency", "4"], 2),
+        (["none.toml", "--frequency", "4"], 2),
+    ],
+)
+def test_stability_exits_0_stable_1_not_stable_2_bad_input(arguments, code, monkeypatch, capsys):
+    if arguments == ["unstable"]:
+        # No machine with a spring and damping is unstable in this model; the exit code follows the verdict of the multipliers.
+        matrices = lp.PeriodicSystem.from_matrices([[[0.1]]], [[0.0]], [1.0])
+        monkeypatch.setattr("ltvpneu.face.cli.floquet", lambda system: lp.floquet(matrices))
+        arguments = ["kunt_singh_1990", "--frequency", "4"]
+    assert main(["stability", *arguments]) == code
+    captured = capsys.readouterr()
+    if code == 2:
+        assert captured.err.startswith("ltvpneu stability: error: ")
+        assert captured.out == ""
+    else:
+        assert "verdict" in captured.out
+
+
+def test_a_springless_machine_has_no_verdict_but_an_explanation(tmp_path, capsys):
+    (tmp_path / "rig.toml").write_text(SPRINGLESS)
+    assert main(["stability", str(tmp_path / "rig.toml"), "--frequency", "4"]) == 2
+    assert "without a spring" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (["study", "--frequency", "-1"], "--frequency: found -1 Hz"),
+        (["study", "--points", "0"], "--points: found 0"),
+        (["study", "--duty", "2"], "duty: found 2"),
+        (["study", "missing.toml"], "cannot be read"),
+    ],
+)
+def test_bad_input_to_the_study_exits_2_and_writes_nothing(arguments, match, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert match in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_wrong_usage_exits_2():
+    for arguments in ([], ["stability", "kunt_singh_1990"], ["study", "--frequency", "four"], ["fly"]):
+        with pytest.raises(SystemExit) as caught:
+            main(arguments)
+        assert caught.value.code == 2
+
+
+def test_the_module_runs_as_a_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "ltvpneu", "--help"], capture_output=True, text=True, check=True
+    )
+    assert "stability" in done.stdout
+
+
+# Pictures -----------------------------------------------------------------------------------------------------------------
+
+
+def test_every_result_has_a_picture(table_1):
+    model = lp.ltv_model(table_1, 4.0, n_steps=6)
+    orbit = lp.steady_state(model.system)
+    found = lp.amplitude_response(table_1.with_duty(0.86), [5.4, 20.0])
+    results = {
+        "machine": table_1,
+        "model": model,
+        "system": model.system,
+        "floquet": lp.floquet(model.system),
+        "orbit": orbit,
+        "orbits": {"LTV": orbit, "nonlinear": lp.nonlinear_orbit(table_1, 4.0)},
+        "floquets": {"a": lp.floquet(model.system), "b": lp.floquet(model.system)},
+        "amplitudes": found,
+        "response": lp.response(model.system, n_periods=1),
+        "transient": lp.simulate(table_1, 4.0, n_periods=1),
+        "one orbit": orbit.response(),
+    }
+    for name, result in results.items():
+        figure = lp.plot(result)
+        assert isinstance(figure, Figure), name
+        assert figure.axes, name
+
+
+def test_a_cycle_shows_the_orbit_it_was_given(table_1):
+    orbit = lp.nonlinear_orbit(table_1, 4.0)
+    line = lp.plot({"nonlinear": orbit}).axes[0].lines[0]
+    values = np.asarray(line.get_ydata(), dtype=float)
+    assert values.max() == pytest.approx(1e3 * orbit.maximum("position"), rel=1e-3)
+
+
+def test_what_has_no_picture_is_a_type_error(table_1):
+    with pytest.raises(TypeError, match="plot: found int"):
+        lp.plot(3)
+    with pytest.raises(TypeError, match="expected one of Orbit only"):
+        lp.plot({"a": table_1})
+
+
+# Amplitude response -------------------------------------------------------------------------------------------------------
+
+
+def test_a_sweep_keeps_the_error_of_a_failed_point_and_goes_on(table_1):
+    from dataclasses import replace
+
+    machine = replace(table_1, load=replace(table_1.load, force=-30.0))
+    calls = []
+    found = lp.amplitude_response(machine, [1.0, 15.0], models=["nonlinear", "ltv"], progress=calls.append)
+    assert [(f.model, f.frequency, type(f.error)) for f in found.failures] == [
+        ("nonlinear", 1.0, lp.ChamberVolumeError)
+    ]
+    assert np.isnan(found.amplitude("nonlinear")[0])
+    assert found.amplitude("nonlinear")[1] > 0
+    assert calls == [1, 1]
+
+
+def test_amplitudes_of_all_models_are_those_of_their_orbits(table_1):
+    found = lp.amplitude_response(table_1, [4.0, 10.0])
+    assert found.amplitude("nonlinear") == pytest.approx([0.03528, 0.01095], rel=1e-3)
+    assert found.amplitude("ltv")[0] == lp.steady_state(lp.ltv_model(table_1, 4.0).system).amplitude(
+        "position"
+    )
+    assert found.amplitude("lti")[1] == lp.steady_state(lp.lti_model(table_1, 10.0).system).amplitude(
+        "position"
+    )
+    with pytest.raises(ValueError, match="model: found 'hybrid'"):
+        found.amplitude("hybrid")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ({"frequencies": [0.0]}, "frequencies: found"),
+        ({"frequencies": []}, "frequencies: found"),
+        ({"frequencies": [1.0], "models": ["ltx"]}, "models: found 'ltx'"),
+        ({"frequencies": [1.0], "signal": "x"}, "signal: found 'x'"),
+    ],
+)
+def test_bad_sweeps_are_named(table_1, arguments, match):
+    with pytest.raises(ValueError, match=match):
+        lp.amplitude_response(table_1, **arguments)
