@@ -17,7 +17,7 @@ lint: $(VENV)/.dev
 	$(BIN)/nbstripout --verify notebooks/*.ipynb
 
 types: $(VENV)/.dev
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 imports: $(VENV)/.dev
 	$(BIN)/lint-imports

@@ -16,7 +16,7 @@ from ltvpneu.models.linearize import Linearization, LtvModel, linearize
 from ltvpneu.models.lti import lti_model
 from ltvpneu.models.ltv import ltv_model
 from ltvpneu.models.machine import FlowPath, Machine
-from ltvpneu.models.nonlinear import nonlinear_orbit, simulate
+from ltvpneu.models.nonlinear import DormandPrince, RungeKutta4, nonlinear_orbit, simulate
 from ltvpneu.periodic.floquet import Floquet, floquet, monodromy
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.response import response
@@ -33,6 +33,7 @@ __all__ = [
     "AmplitudeResponse",
     "ChamberVolumeError",
     "Cylinder",
+    "DormandPrince",
     "Floquet",
     "FlowPath",
     "Gas",
@@ -52,6 +53,7 @@ __all__ = [
     "Port",
     "Profile",
     "RotaryValve",
+    "RungeKutta4",
     "Step",
     "Window",
     "amplitude_response",

@@ -11,7 +11,9 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-def finite_array(name: str, values: ArrayLike, shape: Sequence[int | None] | None = None) -> FloatArray:
+def finite_array(
+    name: str, values: ArrayLike | Sequence[ArrayLike], shape: Sequence[int | None] | None = None
+) -> FloatArray:
     """Return a read-only float64 copy, after checking its shape and that every entry is finite.
 
     Parameters
@@ -64,9 +66,7 @@ def positive(name: str, value: float, unit: str = "") -> float:
     """Return the value as a float if it is finite and above zero."""
     number = _number(name, value)
     if not (math.isfinite(number) and number > 0):
-        raise ValueError(
-            f"{name}: found {number:g}{_of(unit)}, expected a finite number above zero{_of(unit)}"
-        )
+        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number above zero{_of(unit)}")
     return number
 
 
@@ -74,13 +74,11 @@ def not_negative(name: str, value: float, unit: str = "") -> float:
     """Return the value as a float if it is finite and not below zero."""
     number = _number(name, value)
     if not (math.isfinite(number) and number >= 0):
-        raise ValueError(
-            f"{name}: found {number:g}{_of(unit)}, expected a finite number, zero or more{_of(unit)}"
-        )
+        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number, zero or more{_of(unit)}")
     return number
 
 
-def whole(name: str, value: int, least: int = 1) -> int:
+def whole(name: str, value: object, least: int = 1) -> int:
     """Return the value if it is a whole number, at least `least`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name}: found {value!r}, expected a whole number, {least} or more")

@@ -35,13 +35,10 @@ def _parser() -> argparse.ArgumentParser:
         prog="ltvpneu", description="Control design for pneumatic actuators switched by on-off valves."
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    machine = {
-        "help": f"a TOML file, or a bundled machine: {', '.join(bundled_machines())}",
-        "metavar": "MACHINE",
-    }
+    machine_help = f"a TOML file, or a bundled machine: {', '.join(bundled_machines())}"
 
     study = commands.add_parser("study", help="work a machine through: tables, pictures, JSON")
-    study.add_argument("machine", nargs="?", default="kunt_singh_1990", **machine)
+    study.add_argument("machine", nargs="?", default="kunt_singh_1990", metavar="MACHINE", help=machine_help)
     study.add_argument(
         "--frequency", type=float, nargs="+", default=[1.0, 4.0, 10.0], metavar="HZ",
         help="valve frequencies to work through [Hz] (default: 1 4 10)",
@@ -53,16 +50,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="folder for pictures and JSON (default: study)",
     )
-    study.add_argument(
-        "--points", type=int, default=40, help="frequencies of the amplitude response (default: 40)"
-    )
+    study.add_argument("--points", type=int, default=40, help="frequencies of the amplitude response (default: 40)")
     _add_design(study)
     study.set_defaults(run=_study)
 
     stability = commands.add_parser(
         "stability", help="print the verdict of the LTV model; exit 0 stable, 1 not stable, 2 bad input"
     )
-    stability.add_argument("machine", **machine)
+    stability.add_argument("machine", metavar="MACHINE", help=machine_help)
     stability.add_argument(
         "--frequency", type=float, nargs="+", required=True, metavar="HZ", help="valve frequencies [Hz]"
     )
@@ -72,12 +67,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_design(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--duty", type=float, metavar="D", help="duty cycle, 0 to 1 (default: the machine's own)"
-    )
-    parser.add_argument(
-        "--n-steps", type=int, default=2, metavar="N", help="steps of the LTV model (default: 2)"
-    )
+    parser.add_argument("--duty", type=float, metavar="D", help="duty cycle, 0 to 1 (default: the machine's own)")
+    parser.add_argument("--n-steps", type=int, default=2, metavar="N", help="steps of the LTV model (default: 2)")
     parser.add_argument(
         "--operating-points",
         choices=MODES,
@@ -151,17 +142,11 @@ def _stability(options: argparse.Namespace) -> int:
     rows: list[list[str]] = []
     all_stable = True
     for frequency in options.frequency:
-        model = ltv_model(
-            machine, frequency, n_steps=options.n_steps, operating_points=options.operating_points
-        )
+        model = ltv_model(machine, frequency, n_steps=options.n_steps, operating_points=options.operating_points)
         found = floquet(model.system)
         all_stable = all_stable and found.is_stable
-        rows.append(
-            [f"{frequency:g}", f"{machine.duty:.4g}", multipliers_text(found), f"{found.spectral_radius:.9f}"]
-            + [f"{found.margin:.1e}", found.verdict]
-        )
-    print(
-        f"{machine.name}: LTV model, {options.n_steps} steps, operating points {options.operating_points!r}\n"
-    )
+        figures = [f"{found.spectral_radius:.9f}", f"{found.margin:.1e}", found.verdict]
+        rows.append([f"{frequency:g}", f"{machine.duty:.4g}", multipliers_text(found), *figures])
+    print(f"{machine.name}: LTV model, {options.n_steps} steps, operating points {options.operating_points!r}\n")
     print(table(["frequency [Hz]", "duty", "multipliers", "radius", "margin", "verdict"], rows))
     return STABLE if all_stable else NOT_STABLE

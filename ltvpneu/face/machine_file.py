@@ -32,7 +32,8 @@ _MACHINE = {
     "load": Key(dict, True), "valve": Key(dict, True), "flow_paths": Key(list),
 }  # fmt: skip
 _GAS = {
-    "heat_capacity_ratio": Key("number"), "specific_gas_constant": Key("gas constant"), "temperature": Key("temperature")
+    "heat_capacity_ratio": Key("number"), "specific_gas_constant": Key("gas constant"),
+    "temperature": Key("temperature"),
 }  # fmt: skip
 _CYLINDER = {
     "piston_area_1": Key("area", True), "piston_area_2": Key("area", True), "dead_volume_1": Key("volume"),
@@ -65,9 +66,7 @@ _FLOW_PATH = {
 def bundled_machines() -> tuple[str, ...]:
     """Return the names of the machines that come with the package."""
     folder = resources.files("ltvpneu") / "machines"
-    return tuple(
-        sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
-    )
+    return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
 
 
 def load_machine(source: str | Path) -> Machine:
@@ -81,7 +80,8 @@ def load_machine(source: str | Path) -> Machine:
     Raises
     ------
     MachineFileError
-        No such file or bundled machine; unreadable; an unknown, missing or impossible entry. The message names the file,
+        No such file or bundled machine; unreadable; an unknown, missing or impossible entry. The message names the
+        file,
         the key, what was found and what was expected.
 
     Examples
@@ -120,9 +120,7 @@ def parse_machine(text: str, file: str) -> Machine:
     cylinder = _build(Cylinder, {"dead_volume_1": None, **found}, file, "cylinder")
     load = _build(Load, _table(top.pop("load"), _LOAD, file, "load"), file, "load")
     valve = _valve(top.pop("valve"), file)
-    paths = tuple(
-        _flow_path(entry, file, f"flow_paths[{i}]") for i, entry in enumerate(top.pop("flow_paths", []))
-    )
+    paths = tuple(_flow_path(entry, file, f"flow_paths[{i}]") for i, entry in enumerate(top.pop("flow_paths", [])))
     return _build(
         Machine,
         {**top, "gas": gas, "cylinder": cylinder, "load": load, "valve": valve, "flow_paths": paths},
@@ -165,9 +163,7 @@ def _flow_path(data: object, file: str, where: str) -> FlowPath:
             )
         found["opening"] = _window(found, file, where)
     elif "ramp" in found:
-        raise MachineFileError(
-            f"{file}: {where}.ramp: found it without opens_at and open_for, expected all three"
-        )
+        raise MachineFileError(f"{file}: {where}.ramp: found it without opens_at and open_for, expected all three")
     return _build(FlowPath, found, file, where)
 
 

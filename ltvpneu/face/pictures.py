@@ -1,9 +1,10 @@
 """Pictures of results. Engineering units live here and in the machine files: mm, bar, Hz, ms."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
+import matplotlib.ticker
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -36,10 +37,11 @@ def unit_of(signal: str) -> Unit:
     return Unit(1.0, "")
 
 
-# Told apart by the colour-blind too. Colours are given outright: "C0" would be looked up in the user's style when drawn.
+# Told apart by the colour-blind too. Colours are given outright: "C0" would be looked up in the user's style when
+# drawn.
 PALETTE = mpl.color_sequences["petroff10"]
 # The line styles tell the models apart without colour.
-STYLES = {
+STYLES: dict[str, dict[str, Any]] = {
     "nonlinear": {"color": "0.15", "linestyle": "-", "linewidth": 1.8},
     "ltv": {"color": PALETTE[0], "linestyle": "--", "linewidth": 1.6},
     "lti": {"color": PALETTE[1], "linestyle": ":", "linewidth": 1.8},
@@ -74,9 +76,7 @@ def _draw_mapping(result: Mapping[str, object]) -> Figure:
     if len(multipliers) == len(result):
         return draw_multipliers(multipliers)
     kinds = sorted({type(value).__name__ for value in result.values()})
-    raise TypeError(
-        f"plot: found a dict of {', '.join(kinds)}, expected one of Orbit only or of Floquet only"
-    )
+    raise TypeError(f"plot: found a dict of {', '.join(kinds)}, expected one of Orbit only or of Floquet only")
 
 
 def _draw_by_itself(result: object) -> Figure:
@@ -113,12 +113,11 @@ def draw_areas(machine: Machine, stairs: Staircase | None = None) -> Figure:
         if stairs is not None:
             steps = stairs.areas[:, 0, number]
             ax.stairs(
-                1e6 * steps, 360 * stairs.fractions, baseline=None, color=PALETTE[2], linestyle="--", linewidth=1.6, zorder=3,
+                1e6 * steps, 360 * stairs.fractions, baseline=None, color=PALETTE[2], linestyle="--",
+                linewidth=1.6, zorder=3,
                 label=f"staircase, {steps.size} steps",
             )  # fmt: skip
-        ax.set_title(
-            f"{connection.source} to {connection.chamber.replace('_', ' ')}", fontsize=10, loc="left"
-        )
+        ax.set_title(f"{connection.source} to {connection.chamber.replace('_', ' ')}", fontsize=10, loc="left")
         ax.set_ylabel("C A [mm²]")
         ax.set_ylim(bottom=0)
         ax.margins(y=0.15)
@@ -166,7 +165,7 @@ def draw_amplitudes(found: AmplitudeResponse) -> Figure:
     """Amplitude over frequency of all models (Fig. 9); orbits that are not unique or subharmonic are marked."""
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     ax = figure.subplots()
-    unit = unit_of(found.signal)
+    unit = unit_of("position")
     for row, model in enumerate(found.models):
         values = unit.factor * found.amplitudes[row]
         ax.plot(found.frequencies, values, label=LABELS[model], marker=".", markersize=4, **STYLES[model])
@@ -178,10 +177,10 @@ def draw_amplitudes(found: AmplitudeResponse) -> Figure:
                     markerfacecolor="none", label=f"{LABELS[model]}: {label}",
                 )  # fmt: skip
     ax.set_xlabel("valve frequency [Hz]")
-    ax.set_ylabel(f"amplitude of {found.signal.replace('_', ' ')} [{unit.symbol}]")
+    ax.set_ylabel(f"amplitude of position [{unit.symbol}]")
     if found.frequencies.size > 2 and found.frequencies[-1] / found.frequencies[0] > 20:
         ax.set_xscale("log")
-        ax.xaxis.set_major_formatter(mpl.ticker.FormatStrFormatter("%g"))
+        ax.xaxis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
     ax.set_ylim(bottom=0)
     ax.grid(alpha=0.3, which="both")
     ax.legend(fontsize=8)
@@ -200,7 +199,8 @@ def draw_multipliers(multipliers: Mapping[str, Floquet]) -> Figure:
     handles: list[Line2D] = []
     for number, (label, found) in enumerate(multipliers.items()):
         line = ax.plot(
-            found.multipliers.real, found.multipliers.imag, markers[number % len(markers)], color=PALETTE[number % len(PALETTE)],
+            found.multipliers.real, found.multipliers.imag, markers[number % len(markers)],
+            color=PALETTE[number % len(PALETTE)],
             markerfacecolor="none", markeredgewidth=1.5, markersize=8,
             label=f"{label}  radius {found.spectral_radius:.3g}, {found.verdict}".strip(),
         )  # fmt: skip

@@ -99,16 +99,9 @@ def operating_text(study: Study) -> str:
                 held = any(h.step == step for h in model.held_back)
                 pressures = [f"{p / 1e5:.4f}" for p in point[2:]]
                 duration = f"{1e3 * model.system.durations[step]:.4g}"
-                rows.append(
-                    [
-                        f"{case.frequency:g} Hz {LABELS[name]}",
-                        str(step + 1),
-                        duration,
-                        f"{1e3 * point[0]:.2f}",
-                        *pressures,
-                    ]
-                    + ["yes" if held else ""]
-                )
+                position = f"{1e3 * point[0]:.2f}"
+                label = f"{case.frequency:g} Hz {LABELS[name]}"
+                rows.append([label, str(step + 1), duration, position, *pressures, "yes" if held else ""])
     if not rows:
         return "  none: " + "; ".join(case.failures.get("ltv", "") for case in study.cases)
     names = [f"{name.replace('_', ' ')} [bar]" for name in machine.states[2:]]
@@ -228,10 +221,7 @@ def response_table(study: Study) -> str:
     response = study.response
     rows: list[list[str]] = []
     for column, frequency in enumerate(response.frequencies):
-        cells = [
-            f"{1e3 * value:.3f}" if math.isfinite(value) else "failed"
-            for value in response.amplitudes[:, column]
-        ]
+        cells = [f"{1e3 * value:.3f}" if math.isfinite(value) else "failed" for value in response.amplitudes[:, column]]
         rows.append([f"{frequency:.3g}", *cells, _response_remark(study, column)])
     text = table(["frequency [Hz]", *(f"{LABELS[m]} [mm]" for m in response.models), "remark"], rows)
     failures = [f"  {f.frequency:.3g} Hz {LABELS[f.model]}: {f.error}" for f in response.failures]
@@ -249,7 +239,8 @@ def _response_remark(study: Study, column: int) -> str:
     return ", ".join(found)
 
 
-# The same as plain data --------------------------------------------------------------------------------------------------
+# The same as plain data
+# --------------------------------------------------------------------------------------------------
 
 
 def study_data(study: Study) -> dict[str, Any]:
@@ -263,15 +254,14 @@ def study_data(study: Study) -> dict[str, Any]:
             "cases": [case_data(case) for case in study.cases],
             "cases_without_dry_friction": [case_data(case) for case in study.frictionless],
             "amplitude_response": {
-                "signal": response.signal,
+                "signal": "position",
                 "frequencies": response.frequencies,
                 "amplitudes": {m: response.amplitudes[i] for i, m in enumerate(response.models)},
                 "means": {m: response.means[i] for i, m in enumerate(response.models)},
                 "n_periods": {m: response.n_periods[i] for i, m in enumerate(response.models)},
                 "is_unique": {m: response.is_unique[i] for i, m in enumerate(response.models)},
                 "failures": [
-                    {"model": f.model, "frequency": f.frequency, "error": str(f.error)}
-                    for f in response.failures
+                    {"model": f.model, "frequency": f.frequency, "error": str(f.error)} for f in response.failures
                 ],
             },
         }

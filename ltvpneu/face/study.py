@@ -1,4 +1,7 @@
-"""The main job: one machine worked through by its three models. Figures only; `report` prints them, `pictures` draws them."""
+"""The main job: one machine worked through by its three models.
+
+Figures only; `report` prints them, `pictures` draws them.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -86,17 +86,11 @@ def parse(value: object, dimension: Dimension) -> float:
     if (offset or match[2].endswith("(a)")) and unit not in _UNITS["pressure"]:
         raise ValueError(f"found {value!r}: only a pressure is gauge (g) or absolute (a); {hint}")
     if unit in _UNITS[dimension]:
-        return (
-            number * _UNITS[dimension][unit]
-            + offset
-            + (_ZERO_POINTS[unit] if dimension == "temperature" else 0.0)
-        )
+        return number * _UNITS[dimension][unit] + offset + (_ZERO_POINTS[unit] if dimension == "temperature" else 0.0)
     for other, units in _UNITS.items():
         if unit in units:
             raise ValueError(f"found {value!r}, {_a(other)}, {hint}")
-    raise ValueError(
-        f"found {value!r} with the unknown unit {unit!r}, {hint}; known: {', '.join(_UNITS[dimension])}"
-    )
+    raise ValueError(f"found {value!r} with the unknown unit {unit!r}, {hint}; known: {', '.join(_UNITS[dimension])}")
 
 
 def _normal(unit: str) -> str:

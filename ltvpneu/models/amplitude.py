@@ -34,17 +34,16 @@ class FailedPoint:
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AmplitudeResponse:
-    """Amplitude and mean of one signal over frequency; nan where a point failed, with the reason in `failures`."""
+    """Amplitude and mean of the position over frequency; nan where a point failed, with the reason in `failures`."""
 
     machine: Machine
-    signal: str
     frequencies: FloatArray
     """[Hz], shape (n_frequencies,)"""
     models: tuple[str, ...]
     amplitudes: FloatArray
-    """Half the peak-to-peak, in the signal's unit, shape (n_models, n_frequencies)."""
+    """Half the peak-to-peak [m], shape (n_models, n_frequencies)."""
     means: FloatArray
-    """Time means, likewise."""
+    """Time means [m], likewise."""
     n_periods: FloatArray
     """Valve periods after which each orbit repeats, likewise."""
     is_unique: FloatArray
@@ -52,7 +51,7 @@ class AmplitudeResponse:
     failures: tuple[FailedPoint, ...]
 
     def amplitude(self, model: str) -> FloatArray:
-        """Return the amplitudes of one model, shape (n_frequencies,)."""
+        """Return the amplitudes of one model [m], shape (n_frequencies,)."""
         if model not in self.models:
             raise ValueError(f"model: found {model!r}, expected one of {', '.join(self.models)}")
         return self.amplitudes[self.models.index(model)]
@@ -63,7 +62,6 @@ def amplitude_response(
     frequencies: ArrayLike,
     models: Sequence[Model] = MODELS,
     *,
-    signal: str = "position",
     n_steps: int = 2,
     operating_points: OperatingPoints = "lti",
     progress: Callable[[int], object] | None = None,
@@ -76,8 +74,6 @@ def amplitude_response(
     frequencies : array_like, shape (n_frequencies,)
         [Hz], all above zero.
     models : sequence of {"nonlinear", "ltv", "lti"}
-    signal : str
-        A state of the machine.
     n_steps, operating_points
         Of the LTV model.
     progress : callable, optional
@@ -101,8 +97,6 @@ def amplitude_response(
     for model in models:
         if model not in MODELS:
             raise ValueError(f"models: found {model!r}, expected {', '.join(MODELS)}")
-    if signal not in machine.states:
-        raise ValueError(f"signal: found {signal!r}, expected one of {', '.join(machine.states)}")
     shape = (len(models), grid.size)
     table = {name: np.full(shape, np.nan) for name in ("amplitudes", "means", "n_periods", "is_unique")}
     failures: list[FailedPoint] = []
@@ -113,15 +107,14 @@ def amplitude_response(
             except (LtvpneuError, ValueError) as error:
                 failures.append(FailedPoint(model=model, frequency=float(frequency), error=error))
                 continue
-            table["amplitudes"][row, column] = orbit.amplitude(signal)
-            table["means"][row, column] = orbit.mean(signal)
+            table["amplitudes"][row, column] = orbit.amplitude("position")
+            table["means"][row, column] = orbit.mean("position")
             table["n_periods"][row, column] = orbit.n_periods
             table["is_unique"][row, column] = orbit.is_unique
         if progress is not None:
             progress(1)
     return AmplitudeResponse(
         machine=machine,
-        signal=signal,
         frequencies=grid,
         models=tuple(models),
         failures=tuple(failures),
@@ -129,13 +122,9 @@ def amplitude_response(
     )
 
 
-def _orbit(
-    machine: Machine, frequency: float, model: Model, n_steps: int, operating_points: OperatingPoints
-) -> Orbit:
+def _orbit(machine: Machine, frequency: float, model: Model, n_steps: int, operating_points: OperatingPoints) -> Orbit:
     if model == "nonlinear":
         return nonlinear_orbit(machine, frequency)
     if model == "lti":
         return steady_state(lti_model(machine, frequency).system)
-    return steady_state(
-        ltv_model(machine, frequency, n_steps=n_steps, operating_points=operating_points).system
-    )
+    return steady_state(ltv_model(machine, frequency, n_steps=n_steps, operating_points=operating_points).system)

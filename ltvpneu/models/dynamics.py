@@ -47,9 +47,7 @@ def external_force(state: FloatArray, machine: MachineArrays) -> float:
 
 
 @compiled
-def state_rate(
-    state: FloatArray, areas: FloatArray, mode: int, machine: MachineArrays, rate: FloatArray
-) -> bool:
+def state_rate(state: FloatArray, areas: FloatArray, mode: int, machine: MachineArrays, rate: FloatArray) -> bool:
     """Write the time derivative of the state into `rate`; False where a volume or pressure is not above zero.
 
     Parameters
@@ -98,7 +96,8 @@ def state_tangent(
     state, areas, machine
         As for `state_rate`; dry friction, constant on either side of rest, has no part in the tangent.
     full : bool
-        Whether to take all derivatives. If not, the paper's choice (8b): in the pressure rows, none over the position, and
+        Whether to take all derivatives. If not, the paper's choice (8b): in the pressure rows, none over the
+        position, and
         the others as at rest.
     A : ndarray, shape (2 + n_c, 2 + n_c)
     B : ndarray, shape (2 + n_c, 3)
@@ -149,7 +148,8 @@ def state_tangent(
 def equilibrium_pressures(areas: FloatArray, machine: MachineArrays, start: FloatArray) -> FloatArray:
     """Return the chambers' quasi-static pressures [Pa], eq. (16) with erratum E10, shape (n_c,).
 
-    At rest no mass may gather in a chamber: the sum of its flows, which falls as its pressure rises, is zero. A chamber with
+    At rest no mass may gather in a chamber: the sum of its flows, which falls as its pressure rises, is zero. A
+    chamber with
     every path shut keeps its pressure `start`.
     """
     pressures = start.copy()

@@ -1,8 +1,11 @@
 """Integration of the nonlinear equations over valve periods, compiled.
 
-No step crosses a switching instant. Within a piece of the valve's cycle the Dormand-Prince pair (coefficients from scipy's RK45,
-with its quartic interpolant) runs with step control; where the piston stops, breaks away or meets an end stop, the instant is
-the root of the interpolant and a new step starts there. The paper's fixed-step Runge-Kutta method of fourth order is the
+No step crosses a switching instant. Within a piece of the valve's cycle the Dormand-Prince pair (coefficients from
+scipy's RK45,
+with its quartic interpolant) runs with step control; where the piston stops, breaks away or meets an end stop, the
+instant is
+the root of the interpolant and a new step starts there. The paper's fixed-step Runge-Kutta method of fourth order is
+the
 alternative: it ends its steps on the switching instants too, but takes stick and slip as they are at the end of a step.
 """
 
@@ -44,6 +47,50 @@ class Settings(NamedTuple):
     """Steps a period may take."""
 
 
+class Run(NamedTuple):
+    """What is integrated, and how."""
+
+    schedule: Schedule
+    machine: MachineArrays
+    settings: Settings
+
+
+class Workspace(NamedTuple):
+    """Arrays that the steps write into."""
+
+    state: FloatArray
+    """(n_states,)"""
+    new: FloatArray
+    """State at the end of the step that is tried, (n_states,)."""
+    rate: FloatArray
+    """(n_states,)"""
+    stages: FloatArray
+    """Rates at the stages; the first is that of the state, (7, n_states)."""
+    coefficients: FloatArray
+    """Interpolant in powers of the share of the step; the first row is the state, (5, n_states)."""
+    areas: FloatArray
+    """(2, n_paths)"""
+
+
+class Progress(NamedTuple):
+    """How far an integration has got."""
+
+    status: int
+    time: float
+    steps: int
+    mode: int
+
+
+class Log(NamedTuple):
+    """Intervals recorded so far, in arrays with room for more."""
+
+    rows: FloatArray
+    """Start [s], span [s], mode; (capacity, 3)."""
+    coefficients: FloatArray
+    """(capacity, 5, n_states)"""
+    n_logged: int
+
+
 class Record(NamedTuple):
     """One period, as polynomials in the time since the start of each interval."""
 
@@ -67,9 +114,11 @@ class Outcome(NamedTuple):
     record: Record
 
 
-_STAGES = np.vstack([RK45.A, np.append(RK45.B, 0.0)[None, :5]])
+# The last stage is the step's end, whose weights are the method's own: its rate starts the next step.
+_STAGES = np.zeros((7, 6))
+_STAGES[:6, :5] = RK45.A
+_STAGES[6] = RK45.B
 _NODES = np.append(RK45.C, 1.0)
-_WEIGHTS = RK45.B
 _ERROR = RK45.E
 _INTERPOLANT = RK45.P
 
@@ -89,7 +138,7 @@ def _areas_at(time: float, piece: int, schedule: Schedule, areas: FloatArray) ->
 
 @compiled
 def _holds(position: float, machine: MachineArrays) -> tuple[float, float]:
-    """Forces that a resting piston withstands towards lower and higher positions [N]."""
+    """Return the forces that a resting piston withstands towards lower and higher positions [N]."""
     hold = holding_force(machine.load.dry_friction, machine.load.stiction)
     down = math.inf if position <= machine.load.lower_stop else hold
     up = math.inf if position >= machine.load.upper_stop else hold
@@ -121,7 +170,10 @@ def _value(coefficients: FloatArray, component: int, share: float) -> float:
 def _margin(
     share: float, kind: int, mode: int, coefficients: FloatArray, machine: MachineArrays, state: FloatArray
 ) -> float:
-    """What an event waits for to fall below zero. Kinds: 0 velocity reverses, 1 lower, 2 upper stop, 3 break-away."""
+    """Return what an event waits for to fall below zero.
+
+    Kinds: 0 velocity reverses, 1 lower, 2 upper stop, 3 break-away.
+    """
     if kind == 0:
         return mode * _value(coefficients, 1, share)
     if kind == 1:
@@ -137,9 +189,7 @@ def _margin(
 
 
 @compiled
-def _first_event(
-    mode: int, coefficients: FloatArray, machine: MachineArrays, work: FloatArray
-) -> tuple[float, int]:
+def _first_event(mode: int, coefficients: FloatArray, machine: MachineArrays, work: FloatArray) -> tuple[float, int]:
     """Share of the step at which the first event happens, and its kind; 2.0 where none does.
 
     Also looked for at the middle of the step, so that a short excursion is not passed over.
@@ -169,202 +219,204 @@ def _first_event(
 
 
 @compiled
-def _adaptive_step(
-    h: float, time: float, piece: int, mode: int, schedule: Schedule, machine: MachineArrays,
-    settings: Settings, areas: FloatArray, k: FloatArray, new: FloatArray,
-    work: FloatArray, coefficients: FloatArray,
-) -> float:  # fmt: skip
-    """Try one Dormand-Prince step from the state in `coefficients[0]`, whose rate is in `k[0]`; return the scaled error.
+def _adaptive_step(h: float, time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
+    """Try one Dormand-Prince step and return its scaled error; infinite where a stage left the equations' domain.
 
-    Writes the new state, its rate `k[6]` and, if the error is at most one, the interpolant. Infinite where a stage left
-    the domain of the equations.
+    Writes the new state, its rate as the seventh stage and, if the error is at most one, the interpolant.
     """
+    state, new, stages, settings = space.state, space.new, space.stages, run.settings
     n = new.size
     for stage in range(1, 7):
         for i in range(n):
             total = 0.0
             for j in range(stage):
-                total += (_STAGES[stage, j] if stage < 6 else _WEIGHTS[j]) * k[j, i]
-            new[i] = coefficients[0, i] + h * total
-        _areas_at(time + _NODES[stage] * h, piece, schedule, areas)
-        if not state_rate(new, areas, mode, machine, work):
+                total += _STAGES[stage, j] * stages[j, i]
+            new[i] = state[i] + h * total
+        _areas_at(time + _NODES[stage] * h, piece, run.schedule, space.areas)
+        if not state_rate(new, space.areas, mode, run.machine, space.rate):
             return math.inf
-        for i in range(n):
-            k[stage, i] = work[i]
+        stages[stage] = space.rate
     worst = 0.0
     for i in range(n):
         error = 0.0
         for j in range(7):
-            error += _ERROR[j] * k[j, i]
-        scale = settings.atol[i] + settings.rtol * max(abs(coefficients[0, i]), abs(new[i]))
+            error += _ERROR[j] * stages[j, i]
+        scale = settings.atol[i] + settings.rtol * max(abs(state[i]), abs(new[i]))
         worst = max(worst, abs(h * error) / scale)
     if worst <= 1.0:
         for i in range(n):
             for power in range(4):
                 total = 0.0
                 for j in range(7):
-                    total += _INTERPOLANT[j, power] * k[j, i]
-                coefficients[power + 1, i] = h * total
+                    total += _INTERPOLANT[j, power] * stages[j, i]
+                space.coefficients[power + 1, i] = h * total
     return worst
 
 
 @compiled
-def _fixed_step(
-    h: float, time: float, piece: int, mode: int, schedule: Schedule, machine: MachineArrays,
-    areas: FloatArray, k: FloatArray, new: FloatArray,
-    work: FloatArray, coefficients: FloatArray,
-) -> bool:  # fmt: skip
-    """Take one classical Runge-Kutta step of fourth order; interpolant: the cubic through both states and rates."""
-    n = new.size
+def _fixed_step(h: float, time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
+    """Take one classical Runge-Kutta step of fourth order; return 0, or infinity as `_adaptive_step`.
+
+    The interpolant is the cubic through both states and rates.
+    """
+    state, new, stages, coefficients = space.state, space.new, space.stages, space.coefficients
     for stage in range(1, 5):
         share = 0.5 if stage < 3 else 1.0
-        for i in range(n):
-            slope = k[stage - 1, i]
+        for i in range(new.size):
+            slope = stages[stage - 1, i]
             if stage == 4:
-                slope = (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i]) / 6.0
-            new[i] = coefficients[0, i] + share * h * slope
-        _areas_at(time + share * h, piece, schedule, areas)
-        if not state_rate(new, areas, mode, machine, work):
-            return False
-        for i in range(n):
-            k[stage, i] = work[i]
-    for i in range(n):
-        rise = new[i] - coefficients[0, i]
-        begin, end = h * k[0, i], h * k[4, i]
+                slope = (stages[0, i] + 2.0 * stages[1, i] + 2.0 * stages[2, i] + stages[3, i]) / 6.0
+            new[i] = state[i] + share * h * slope
+        _areas_at(time + share * h, piece, run.schedule, space.areas)
+        if not state_rate(new, space.areas, mode, run.machine, space.rate):
+            return math.inf
+        stages[stage] = space.rate
+    # Where the next step looks for the rate of its start.
+    stages[6] = stages[4]
+    for i in range(new.size):
+        rise, begin, end = new[i] - state[i], h * stages[0, i], h * stages[4, i]
         coefficients[1, i] = begin
         coefficients[2, i] = 3.0 * rise - 2.0 * begin - end
         coefficients[3, i] = begin + end - 2.0 * rise
         coefficients[4, i] = 0.0
-    return True
+    return 0.0
 
 
 @compiled
-def _rest_at_source(
-    h: float,
-    before: FloatArray,
-    rate: FloatArray,
-    areas: FloatArray,
-    machine: MachineArrays,
-    state: FloatArray,
-) -> None:
+def _rest_at_source(run: Run, space: Workspace) -> None:
     """Let a chamber of a resting piston come to rest at the pressure of the one source it is open to.
 
-    The flow is like the root of the pressure difference d, so d reaches zero in the finite time 2 d / |d'| and stays there.
+    The flow is like the root of the pressure difference d, so d reaches zero in the finite time 2 d / |d'| and stays.
     Left alone, an explicit method would go on in tiny steps beside that pressure, where the slope is infinite.
     """
-    for k in range(machine.chambers.shape[0]):
-        low, high = source_range(k, areas, machine)
+    state, before = space.state, space.coefficients[0]
+    for k in range(run.machine.chambers.shape[0]):
+        low, high = source_range(k, space.areas, run.machine)
         if low == high:
             difference = before[2 + k] - low
-            passed = difference * (state[2 + k] - low) <= 0.0
-            if passed or h * abs(rate[2 + k]) >= 2.0 * abs(difference):
+            # The interpolant's first power is the rate at the start of the step, times its length.
+            change = space.coefficients[1, 2 + k]
+            if difference * (state[2 + k] - low) <= 0.0 or abs(change) >= 2.0 * abs(difference):
                 state[2 + k] = low
 
 
 @compiled
-def _land(kind: int, state: FloatArray, machine: MachineArrays) -> None:
+def _land(kind: int, share: float, run: Run, space: Workspace) -> None:
     """Bring the piston to rest at an event: at the stop that it met, without rebound, or where its velocity is zero."""
-    state[1] = 0.0
+    for i in range(space.state.size):
+        space.state[i] = _value(space.coefficients, i, share)
+    space.state[1] = 0.0
     if kind == 1:
-        state[0] = machine.load.lower_stop
+        space.state[0] = run.machine.load.lower_stop
     elif kind == 2:
-        state[0] = machine.load.upper_stop
+        space.state[0] = run.machine.load.upper_stop
 
 
 @compiled
-def _grown(array: FloatArray) -> FloatArray:
-    larger = np.empty((2 * array.shape[0], *array.shape[1:]))
-    larger[: array.shape[0]] = array
-    return larger
+def _logged(log: Log, time: float, span: float, mode: int, h: float, coefficients: FloatArray) -> Log:
+    """Return the log with one more interval, in larger arrays if need be."""
+    rows, recorded, count = log.rows, log.coefficients, log.n_logged
+    if count == rows.shape[0]:
+        rows = np.empty((2 * count, 3))
+        recorded = np.empty((2 * count, *log.coefficients.shape[1:]))
+        rows[:count] = log.rows
+        recorded[:count] = log.coefficients
+    rows[count, 0], rows[count, 1], rows[count, 2] = time, span, mode
+    for power in range(5):
+        recorded[count, power] = coefficients[power] / h**power
+    return Log(rows, recorded, count + 1)
 
 
 @compiled
-def integrate_period(
-    start: FloatArray, schedule: Schedule, machine: MachineArrays, settings: Settings, recording: bool
-) -> Outcome:
+def _first_step(piece: int, run: Run) -> float:
+    """Length of the first step of a piece [s]."""
+    length = run.schedule.times[piece + 1] - run.schedule.times[piece]
+    if run.settings.fixed_step > 0.0:
+        return length / math.ceil(length / run.settings.fixed_step * (1.0 - 1e-12))
+    return min(1e-3 * run.schedule.times[-1], length)
+
+
+@compiled
+def _start_rate(time: float, piece: int, mode: int, run: Run, space: Workspace) -> bool:
+    """Write the rate at the state as the first stage; False outside the equations' domain."""
+    _areas_at(time, piece, run.schedule, space.areas)
+    inside = state_rate(space.state, space.areas, mode, run.machine, space.rate)
+    space.stages[0] = space.rate
+    return inside
+
+
+@compiled
+def _try_step(h: float, time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
+    if run.settings.fixed_step > 0.0:
+        return _fixed_step(h, time, piece, mode, run, space)
+    return _adaptive_step(h, time, piece, mode, run, space)
+
+
+@compiled
+def _integrate_piece(piece: int, steps: int, mode: int, run: Run, space: Workspace, log: Log) -> tuple[Progress, Log]:
+    """Integrate over one piece of the valve's cycle; `log.n_logged` below zero records nothing."""
+    time, end, period = run.schedule.times[piece], run.schedule.times[piece + 1], run.schedule.times[-1]
+    adaptive = run.settings.fixed_step == 0.0
+    h, fresh = _first_step(piece, run), True
+    while time < end:
+        if steps >= run.settings.max_steps:
+            return Progress(TOO_MANY_STEPS, time, steps, mode), log
+        steps += 1
+        if fresh and not _start_rate(time, piece, mode, run, space):
+            return Progress(VOLUME_GONE, time, steps, mode), log
+        fresh = False
+        space.coefficients[0] = space.state
+        last = time + 1.000001 * h >= end
+        if last:
+            h = end - time
+        error = _try_step(h, time, piece, mode, run, space)
+        if error > 1.0:
+            h *= max(0.2, 0.9 * error**-0.2)
+            if h < 1e-15 * period or not adaptive:
+                status = VOLUME_GONE if math.isinf(error) else STEP_TOO_SMALL
+                return Progress(status, time, steps, mode), log
+            continue
+        share, kind = _first_event(mode, space.coefficients, run.machine, space.rate)
+        if not adaptive and kind >= 0:
+            share = 1.0
+        span = min(share, 1.0) * h
+        if log.n_logged >= 0 and span > 0.0:
+            log = _logged(log, time, span, mode, h, space.coefficients)
+        time = end if last and share >= 1.0 else time + span
+        if kind >= 0:
+            _land(kind, share, run, space)
+            mode, fresh = mode_of(space.state, run.machine), True
+            h = min(h, 1e-3 * period) if adaptive else h
+            continue
+        space.state[:] = space.new
+        space.stages[0] = space.stages[6]
+        if mode == STUCK:
+            _rest_at_source(run, space)
+            fresh = True
+        if adaptive:
+            h *= min(5.0, 0.9 * max(error, 1e-10) ** -0.2)
+    return Progress(OK, time, steps, mode), log
+
+
+@compiled
+def integrate_period(start: FloatArray, run: Run, recording: bool) -> Outcome:
     """Integrate over one valve period from `start`, shape (n_states,)."""
-    n, n_paths = start.size, machine.path_chamber.size
-    period = schedule.times[-1]
-    k, coefficients = np.zeros((7, n)), np.zeros((5, n))
-    state, new, work = start.copy(), np.empty(n), np.empty(n)
-    areas = np.empty((2, n_paths))
-    capacity = 64 if recording else 1
-    log, log_coefficients, count = np.empty((capacity, 3)), np.empty((capacity, 5, n)), 0
-    mode = mode_of(state, machine)
-    adaptive = settings.fixed_step == 0.0
-    time, steps, status = 0.0, 0, OK
-    for piece in range(schedule.times.size - 1):
-        time, end = schedule.times[piece], schedule.times[piece + 1]
-        h = min(1e-3 * period, end - time)
-        if not adaptive:
-            h = (end - time) / math.ceil((end - time) / settings.fixed_step * (1.0 - 1e-12))
-        fresh = True
-        while time < end:
-            if steps >= settings.max_steps:
-                status = TOO_MANY_STEPS
-                break
-            steps += 1
-            if fresh:
-                _areas_at(time, piece, schedule, areas)
-                if not state_rate(state, areas, mode, machine, work):
-                    status = VOLUME_GONE
-                    break
-                k[0] = work
-                fresh = False
-            coefficients[0] = state
-            last = time + 1.000001 * h >= end
-            if last:
-                h = end - time
-            if adaptive:
-                error = _adaptive_step(
-                    h, time, piece, mode, schedule, machine, settings, areas, k, new, work, coefficients
-                )
-                if error > 1.0:
-                    h *= max(0.2, 0.9 * error**-0.2)
-                    if h < 1e-15 * period:
-                        status = VOLUME_GONE if math.isinf(error) else STEP_TOO_SMALL
-                        break
-                    continue
-                share, kind = _first_event(mode, coefficients, machine, work)
-            else:
-                if not _fixed_step(
-                    h, time, piece, mode, schedule, machine, areas, k, new, work, coefficients
-                ):
-                    status = VOLUME_GONE
-                    break
-                error, (share, kind) = 1.0, _first_event(mode, coefficients, machine, work)
-                share = 1.0 if kind >= 0 else 2.0
-            span = min(share, 1.0) * h
-            if recording and span > 0.0:
-                if count == log.shape[0]:
-                    log, log_coefficients = _grown(log), _grown(log_coefficients)
-                log[count, 0], log[count, 1], log[count, 2] = time, span, mode
-                for power in range(5):
-                    log_coefficients[count, power] = coefficients[power] / h**power
-                count += 1
-            if kind >= 0:
-                for i in range(n):
-                    state[i] = _value(coefficients, i, share)
-                _land(kind, state, machine)
-                mode = mode_of(state, machine)
-                time = end if last and share == 1.0 else time + span
-                fresh = True
-                if adaptive:
-                    h = min(h, 1e-3 * period)
-                continue
-            state[:] = new
-            time = end if last else time + h
-            if mode == STUCK:
-                _rest_at_source(h, coefficients[0], k[0], areas, machine, state)
-            fresh = mode == STUCK
-            k[0] = k[6] if adaptive else k[4]
-            if adaptive:
-                h *= min(5.0, 0.9 * max(error, 1e-10) ** -0.2)
-        if status != OK:
+    n, n_paths = start.size, run.machine.path_chamber.size
+    space = Workspace(
+        start.copy(), np.empty(n), np.empty(n), np.zeros((7, n)), np.zeros((5, n)), np.empty((2, n_paths))
+    )
+    log = (
+        Log(np.empty((64, 3)), np.empty((64, 5, n)), 0) if recording else Log(np.empty((0, 3)), np.empty((0, 5, n)), -1)
+    )
+    progress = Progress(OK, 0.0, 0, mode_of(space.state, run.machine))
+    for piece in range(run.schedule.times.size - 1):
+        progress, log = _integrate_piece(piece, progress.steps, progress.mode, run, space, log)
+        if progress.status != OK:
             break
-    modes = log[:count, 2].astype(np.int64)
-    record = Record(log[:count, 0].copy(), log[:count, 1].copy(), modes, log_coefficients[:count].copy())
-    return Outcome(status, time, steps, state, record)
+    count = max(log.n_logged, 0)
+    modes = log.rows[:count, 2].astype(np.int64)
+    record = Record(log.rows[:count, 0].copy(), log.rows[:count, 1].copy(), modes, log.coefficients[:count].copy())
+    return Outcome(progress.status, progress.time, progress.steps, space.state, record)
 
 
 class Settled(NamedTuple):
@@ -399,7 +451,8 @@ def _is_settled(k: int, done: int, changes: FloatArray, tolerance: float) -> boo
     contraction = min(change / changes[(done - k) % ring, k], 1.0)
     if change <= max(tolerance * (1.0 - contraction), 0.01 * tolerance):
         return True
-    # Where chambers rest at a source's pressure, step control leaves a floor of its own size: no more change to wait for.
+    # Where chambers rest at a source's pressure, step control leaves a floor of its own size: no more change to wait
+    # for.
     back = 16 * k
     if change <= 10.0 * tolerance and back < ring and done > back + k:
         return change > 0.5 * changes[(done - back) % ring, k]
@@ -407,10 +460,7 @@ def _is_settled(k: int, done: int, changes: FloatArray, tolerance: float) -> boo
 
 
 @compiled
-def settle(
-    start: FloatArray, schedule: Schedule, machine: MachineArrays, settings: Settings,
-    scales: FloatArray, tolerance: float, max_periods: int,
-) -> Settled:  # fmt: skip
+def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, max_periods: int) -> Settled:
     """Simulate valve periods until the state repeats, after one or more of them.
 
     The change of the scaled state over k periods, r, bounds the distance from the orbit by r / (1 - q) where q is its
@@ -427,11 +477,11 @@ def settle(
     history[0] = state
     best = math.inf
     for done in range(1, max_periods + 1):
-        outcome = integrate_period(state, schedule, machine, settings, False)
+        outcome = integrate_period(state, run, False)
         state = outcome.state
         history[done % ring] = state
         if outcome.status != OK:
-            time = (done - 1) * schedule.times[-1] + outcome.time
+            time = (done - 1) * run.schedule.times[-1] + outcome.time
             return Settled(outcome.status, 0, done, best, time, state)
         best = math.inf
         for k in range(1, min(MAX_SUBHARMONIC, done) + 1):

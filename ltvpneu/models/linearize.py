@@ -1,8 +1,10 @@
 r"""Linearization of the machine's equations to G_m, B_m, f_m, eq. (8), and how a model of steps is put together.
 
 With source pressures and load force as inputs u, step m is z' = G_m z + B_m u + r_m, and f_m = B_m u + r_m. M_f is
-homogeneous of degree one in its two pressures, so alpha + beta pbar = (dM_f/dp_i) p_i: in isothermal chambers the paper's
-linearization needs no remainder, r_m = 0, and superposition holds in u. Errata E6, E7, E7b are proved in the tests against
+homogeneous of degree one in its two pressures, so alpha + beta pbar = (dM_f/dp_i) p_i: in isothermal chambers the
+paper's
+linearization needs no remainder, r_m = 0, and superposition holds in u. Errata E6, E7, E7b are proved in the tests
+against
 finite differences of the nonlinear right-hand side.
 """
 
@@ -53,10 +55,12 @@ def linearize(
     angle : float, optional
         Valve angle that sets the openings [rad]; just after it, where they jump. Default 0.
     areas : array_like, shape (2, n_paths), optional
-        Effective areas of the first and second restriction of each connection [m^2], instead of an angle; infinite where
+        Effective areas of the first and second restriction of each connection [m^2], instead of an angle; infinite
+        where
         there is no second.
     tangent : {"paper", "full"}
-        The paper's G (8b), whose pressure rows are those at rest and have no column for the position; or every derivative.
+        The paper's G (8b), whose pressure rows are those at rest and have no column for the position; or every
+        derivative.
         Dry friction is neglected.
 
     Returns
@@ -82,11 +86,7 @@ def linearize(
         raise ValueError("angle, areas: found both, expected one of them")
     else:
         openings = np.array(areas, dtype=np.float64)
-        if (
-            openings.shape != (2, len(machine.connections))
-            or np.isnan(openings).any()
-            or (openings < 0).any()
-        ):
+        if openings.shape != (2, len(machine.connections)) or np.isnan(openings).any() or (openings < 0).any():
             raise ValueError(
                 f"areas: found {openings.tolist()}, expected numbers >= 0 of shape (2, {len(machine.connections)})"
             )
@@ -101,9 +101,7 @@ def areas_at(machine: Machine, angle: float) -> FloatArray:
     return np.array([first, second])
 
 
-def linearize_steps(
-    machine: Machine, states: FloatArray, areas: FloatArray, tangent: Tangent
-) -> Linearization:
+def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tangent: Tangent) -> Linearization:
     """Return the linear models near one state per step, shapes (n_steps, n) and (n_steps, 2, n_paths)."""
     if tangent not in ("paper", "full"):
         raise ValueError(f'tangent: found {tangent!r}, expected "paper" or "full"')
@@ -113,12 +111,10 @@ def linearize_steps(
     A, B = tangents(states, areas, arrays, full)
     if not np.isfinite(A).all():
         step = int(np.argwhere(~np.isfinite(A))[0][0])
-        where = ", ".join(
-            f"{name} {value:.6g}" for name, value in zip(machine.states, states[step], strict=True)
-        )
+        where = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, states[step], strict=True))
         raise ValueError(
-            f"operating point of step {step + 1}: found {where}, a pressure equal to that of a source it is open to, where the "
-            "slope of the flow is infinite; expected pressures apart from the sources'"
+            f"operating point of step {step + 1}: found {where}, a pressure equal to that of a source it is open to, "
+            "where the slope of the flow is infinite; expected pressures apart from the sources'"
         )
     levels = machine.levels
     isothermal = bool((arrays.chambers[:, 2] == 1.0).all())
@@ -142,8 +138,8 @@ def _check_domain(machine: Machine, states: FloatArray) -> None:
         if (found <= 0).any():
             step, k = np.argwhere(found <= 0)[0]
             raise ValueError(
-                f"operating point of step {step + 1}: found a {what} of {machine.cylinder.chambers[k]} of {found[step, k]:g} "
-                f"{unit} (position {states[step, 0]:g} m), expected above zero"
+                f"operating point of step {step + 1}: found a {what} of {machine.cylinder.chambers[k]} of "
+                f"{found[step, k]:g} {unit} (position {states[step, 0]:g} m), expected above zero"
             )
 
 

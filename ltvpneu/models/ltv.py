@@ -14,8 +14,8 @@ from ltvpneu.models.staircase import staircase
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.steady import periodic_states
 
-OperatingPoints = Literal["lti", "mean", "quasi-static", "quasi-static-steps"]
-MODES: tuple[OperatingPoints, ...] = ("lti", "mean", "quasi-static", "quasi-static-steps")
+OperatingPoints = Literal["lti", "lti-position", "mean", "quasi-static", "quasi-static-steps"]
+MODES: tuple[OperatingPoints, ...] = ("lti", "lti-position", "mean", "quasi-static", "quasi-static-steps")
 
 
 def ltv_model(
@@ -24,7 +24,6 @@ def ltv_model(
     *,
     n_steps: int = 2,
     operating_points: OperatingPoints | NDArray[np.float64] = "lti",
-    position: Literal["constant", "variable"] = "constant",
     tangent: Tangent = "paper",
     least_distance: float = LEAST_DISTANCE,
 ) -> LtvModel:
@@ -38,11 +37,11 @@ def ltv_model(
     n_steps : int
         N_s, steps of the staircase over one turn; at least the number of valve positions.
     operating_points : str or ndarray, shape (n_steps, n)
-        "lti": means over each step of the LTI model's cycle (17); "mean": its mean over the whole period (15);
-        "quasi-static": the mean over the turn of the quasi-static states (15)-(16); "quasi-static-steps": those states
-        themselves (16), in the wrong phase but at very low speed; or states [m, m/s, Pa], one row a step.
-    position : {"constant", "variable"}
-        Whether the position is held at its mean, as the paper found more accurate, or follows (17) too.
+        "lti": means over each step of the LTI model's cycle (17), the position held at its mean over the turn, which
+        the paper found more accurate; "lti-position": the position by (17) too; "mean": the cycle's means over the
+        whole period (15); "quasi-static": the mean over the turn of the quasi-static states (15)-(16);
+        "quasi-static-steps": those states themselves (16), in the wrong phase but at very low speed; or states
+        [m, m/s, Pa], one row a step.
     tangent : {"paper", "full"}
         See `linearize`.
     least_distance : float
@@ -69,17 +68,13 @@ def ltv_model(
     """
     positive("frequency", frequency, "Hz")
     not_negative("least_distance", least_distance)
-    if position not in ("constant", "variable"):
-        raise ValueError(f'position: found {position!r}, expected "constant" or "variable"')
     iterations, mode, held_back = 0, "given", ()
     if isinstance(operating_points, str):
         mode = operating_points
         turn = quasi_static_turn(machine, n_steps)
         stairs = turn.stairs
-        iterations = 1 if mode in ("lti", "mean") else 0
+        iterations = 1 if mode in ("lti", "lti-position", "mean") else 0
         asked = _asked(machine, frequency, turn, operating_points, least_distance)
-        if position == "constant":
-            asked[:, 0] = turn.mean[0]
         points, held_back = held_inside(machine, turn, asked, least_distance)
     else:
         stairs = staircase(machine, n_steps)
@@ -97,22 +92,20 @@ def ltv_model(
     )
 
 
-def _asked(
-    machine: Machine, frequency: float, turn: Turn, mode: OperatingPoints, least_distance: float
-) -> FloatArray:
+def _asked(machine: Machine, frequency: float, turn: Turn, mode: OperatingPoints, least_distance: float) -> FloatArray:
     """Return the operating points that a mode asks for, shape (n_steps, n)."""
     N = turn.stairs.areas.shape[0]
     if mode == "quasi-static":
         return np.tile(turn.mean, (N, 1))
     if mode == "quasi-static-steps":
         return turn.quasi_static.copy()
-    if mode not in ("lti", "mean"):
-        raise ValueError(
-            f"operating_points: found {mode!r}, expected one of {', '.join(MODES)}, or an array of states"
-        )
+    if mode not in MODES:
+        raise ValueError(f"operating_points: found {mode!r}, expected one of {', '.join(MODES)}, or an array of states")
     system = lti_model_of_turn(machine, frequency, turn, True, least_distance).system
     cycle = ExponentialTrajectory(system=system, step_states=periodic_states(system)[:-1])
     means = cycle.step_means()
     if mode == "mean":
         return np.tile(np.diff(turn.stairs.fractions) @ means, (N, 1))
+    if mode == "lti":
+        means[:, 0] = turn.mean[0]
     return means

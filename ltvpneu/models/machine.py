@@ -1,6 +1,7 @@
 """A machine: gas, cylinder, load, flow paths and valve, as one checked value.
 
-Which volume feeds which chamber through what opening is data, so single- and double-acting cylinders, 2/2, 3/2 and 5/2 valves,
+Which volume feeds which chamber through what opening is data, so single- and double-acting cylinders, 2/2, 3/2 and
+5/2 valves,
 rotary valves and bleed orifices are the same code.
 """
 
@@ -154,8 +155,9 @@ class Machine:
         positive("supply_pressure", self.supply_pressure, "Pa")
         if self.supply_pressure < self.exhaust_pressure:
             raise ValueError(
-                f"supply_pressure: found {self.supply_pressure:g} Pa, below the exhaust pressure {self.exhaust_pressure:g} Pa; "
-                "expected both absolute (a gauge pressure is written with the suffix (g), as in '3.1 bar(g)')"
+                f"supply_pressure: found {self.supply_pressure:g} Pa, below the exhaust pressure "
+                f"{self.exhaust_pressure:g} Pa; expected both absolute (a gauge pressure is written with the suffix (g), "
+                "as in '3.1 bar(g)')"
             )
         if self.collapse not in ("minimum", "in_series"):
             raise ValueError(f'collapse: found {self.collapse!r}, expected "minimum" or "in_series"')
@@ -179,11 +181,12 @@ class Machine:
         for chamber in self.cylinder.chambers:
             if chamber not in fed:
                 raise ValueError(
-                    f"flow_paths: no path leads to {chamber}, expected at least one; leave out dead_volume_{chamber[-1]} "
-                    "where that side is open to the return"
+                    f"flow_paths: no path leads to {chamber}, expected at least one; leave out "
+                    f"dead_volume_{chamber[-1]} where that side is open to the return"
                 )
 
-    # What a user turns -------------------------------------------------------------------------------------------------
+    # What a user turns
+    # -------------------------------------------------------------------------------------------------
 
     def with_duty(self, duty: float) -> "Machine":
         """Return the machine with the open window [0, 2 pi duty], 0 <= duty <= 1, whatever the valve's geometry."""
@@ -209,7 +212,8 @@ class Machine:
         """Return the machine with neither dry friction nor stiction; viscous damping stays."""
         return replace(self, load=replace(self.load, dry_friction=0.0, stiction=0.0))
 
-    # What the models read ----------------------------------------------------------------------------------------------
+    # What the models read
+    # ----------------------------------------------------------------------------------------------
 
     @cached_property
     def identifier(self) -> str:
@@ -250,9 +254,7 @@ class Machine:
         on = self.valve.on_window()
         for path in self.flow_paths:
             area = path.discharge_coefficient * path.area
-            found.append(
-                Connection(source=path.source, chamber=path.chamber, first=_opening(path, on).scaled(area))
-            )
+            found.append(Connection(source=path.source, chamber=path.chamber, first=_opening(path, on).scaled(area)))
         return tuple(found)
 
     @cached_property
@@ -273,10 +275,11 @@ class Machine:
     def arrays(self) -> MachineArrays:
         """The machine as the compiled kernels read it."""
         cylinder, load = self.cylinder, self.load
+        c = cylinder
         rows = {
-            "chamber_1": (cylinder.dead_volume_1, cylinder.piston_area_1, cylinder.polytropic_exponent_1, cylinder.push_area_1),
-            "chamber_2": (cylinder.dead_volume_2, -cylinder.piston_area_2, cylinder.polytropic_exponent_2, cylinder.push_area_2),
-        }  # fmt: skip
+            "chamber_1": (c.dead_volume_1, c.piston_area_1, c.polytropic_exponent_1, c.push_area_1),
+            "chamber_2": (c.dead_volume_2, -c.piston_area_2, c.polytropic_exponent_2, c.push_area_2),
+        }
         chambers = cylinder.chambers
         open_side = sum(row[3] for name, row in rows.items() if name not in chambers)
         return MachineArrays(

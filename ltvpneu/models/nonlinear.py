@@ -1,13 +1,14 @@
 """The nonlinear model (3)-(7): transient simulation and periodic orbits.
 
-An orbit is what the machine settles on from its initial state, by default at rest at exhaust pressure. With stiction it may
+An orbit is what the machine settles on from its initial state, by default at rest at exhaust pressure. With stiction
+it may
 be one of a band of resting positions, or repeat only after several valve periods; both are found and reported.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,7 @@ from ltvpneu.models.integrator import (
     STEP_TOO_SMALL,
     VOLUME_GONE,
     Record,
+    Run,
     Schedule,
     Settings,
     integrate_period,
@@ -35,11 +37,50 @@ from ltvpneu.physics.valve import check_duty
 if TYPE_CHECKING:
     import control
 
-Method = Literal["dormand-prince", "rk4"]
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DormandPrince:
+    """The adaptive method: step control, stick and slip located as events.
+
+    Parameters
+    ----------
+    rtol : float
+        Relative error tolerated in a step [-].
+    """
+
+    rtol: float = 1e-8
+
+    def __post_init__(self) -> None:
+        if not 1e-13 <= positive("rtol", self.rtol) < 1:
+            raise ValueError(f"rtol: found {self.rtol:g}, expected 1e-13 to 1")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RungeKutta4:
+    """The paper's method: fourth order with a fixed step, stick and slip as they are at the end of a step.
+
+    Parameters
+    ----------
+    steps_per_period : int
+        Least number of steps in a valve period; each interval between switching instants has a whole number of them.
+    """
+
+    steps_per_period: int = 1000
+
+    def __post_init__(self) -> None:
+        whole("steps_per_period", self.steps_per_period)
+
+
+Method = DormandPrince | RungeKutta4
 
 # Pressures need not be right to less than 1e-7 of the supply; where they meet the slope of the flow is infinite,
 # and steps that resolve smaller differences multiply without use.
 LEAST_PRESSURE_TOLERANCE = 1e-7
+
+MAX_STEPS = 50_000_000
+"""Steps that a period may take before the integration is given up."""
 
 
 @final
@@ -83,9 +124,7 @@ def nonlinear_orbit(
     frequency: float,
     initial_state: ArrayLike | None = None,
     *,
-    rtol: float = 1e-8,
-    method: Method = "dormand-prince",
-    steps_per_period: int = 1000,
+    method: Method = DormandPrince(),
     max_periods: int = 5000,
     tolerance: float = 1e-7,
 ) -> Orbit:
@@ -98,12 +137,8 @@ def nonlinear_orbit(
         Switching frequency Omega_p [Hz].
     initial_state : array_like, shape (n_states,), optional
         Start [m, m/s, Pa]; by default at rest at zero, all chambers at exhaust pressure.
-    rtol : float
-        Relative error tolerated in a step of the adaptive method [-].
-    method : {"dormand-prince", "rk4"}
+    method : DormandPrince or RungeKutta4
         Adaptive with located events, or the paper's fixed step.
-    steps_per_period : int
-        For "rk4".
     max_periods : int
         Valve periods to simulate before giving up.
     tolerance : float
@@ -133,12 +168,11 @@ def nonlinear_orbit(
     2
     """
     period = 1 / positive("frequency", frequency, "Hz")
-    settings = _settings(machine, period, rtol, method, steps_per_period)
+    settings = _settings(machine, period, method)
     start = _initial_state(machine, initial_state)
-    schedule = _schedule(machine, period)
-    arrays, scales = machine.arrays, machine.state_scales
+    run, scales = Run(_schedule(machine, period), machine.arrays, settings), machine.state_scales
     max_periods = whole("max_periods", max_periods)
-    found = settle(start, schedule, arrays, settings, scales, positive("tolerance", tolerance), max_periods)
+    found = settle(start, run, scales, positive("tolerance", tolerance), max_periods)
     if found.status != OK:
         _raise_stopped(machine, found.status, found.time, found.state)
     if found.n_periods == 0:
@@ -153,14 +187,14 @@ def nonlinear_orbit(
     records: list[Record] = []
     state = found.state
     for _ in range(found.n_periods):
-        outcome = integrate_period(state, schedule, arrays, settings, True)
+        outcome = integrate_period(state, run, True)
         state = outcome.state
         records.append(outcome.record)
     closure = float(np.max(np.abs(state - found.state) / scales))
     return _orbit(machine, period, records, (found.n_simulated, closure))
 
 
-def simulate(
+def simulate(  # noqa: PLR0913 - one call for one transient
     machine: Machine,
     frequency: float,
     n_periods: int = 10,
@@ -168,9 +202,7 @@ def simulate(
     duty_by_period: Sequence[float] | None = None,
     *,
     points_per_period: int = 200,
-    rtol: float = 1e-8,
-    method: Method = "dormand-prince",
-    steps_per_period: int = 1000,
+    method: Method = DormandPrince(),
 ) -> "control.TimeResponseData":
     """Return the transient of the nonlinear model over a number of valve periods.
 
@@ -186,7 +218,7 @@ def simulate(
         Duty cycle of each period; by default the machine's own throughout.
     points_per_period : int
         Evenly spaced times returned per period; the switching instants are added.
-    rtol, method, steps_per_period
+    method : DormandPrince or RungeKutta4
         As for `nonlinear_orbit`.
 
     Returns
@@ -210,14 +242,12 @@ def simulate(
     """
     period = 1 / positive("frequency", frequency, "Hz")
     n_periods = whole("n_periods", n_periods)
-    settings = _settings(machine, period, rtol, method, steps_per_period)
+    settings = _settings(machine, period, method)
     state = _initial_state(machine, initial_state)
     machines = [machine] * n_periods
     if duty_by_period is not None:
         if len(duty_by_period) != n_periods:
-            raise ValueError(
-                f"duty_by_period: found {len(duty_by_period)} values, expected n_periods = {n_periods}"
-            )
+            raise ValueError(f"duty_by_period: found {len(duty_by_period)} values, expected n_periods = {n_periods}")
         duties = [check_duty(duty, f"duty_by_period[{i}]") for i, duty in enumerate(duty_by_period)]
         by_duty = {duty: machine.with_duty(duty) for duty in set(duties)}
         machines = [by_duty[duty] for duty in duties]
@@ -225,7 +255,7 @@ def simulate(
     times, states = [], []
     for number, present in enumerate(machines):
         schedule = _schedule(present, period)
-        outcome = integrate_period(state, schedule, present.arrays, settings, True)
+        outcome = integrate_period(state, Run(schedule, present.arrays, settings), True)
         if outcome.status != OK:
             _raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
         local = np.union1d(even, schedule.times)[:-1]
@@ -235,21 +265,16 @@ def simulate(
     times.append(np.array([n_periods * period]))
     states.append(state[None])
     values = np.concatenate(states).T
-    return bridge.time_response(
-        np.concatenate(times), (machine.states, values), (machine.states, values), machine.name
-    )
+    return bridge.time_response(np.concatenate(times), (machine.states, values), (machine.states, values), machine.name)
 
 
-def _settings(machine: Machine, period: float, rtol: float, method: str, steps_per_period: int) -> Settings:
-    if method not in ("dormand-prince", "rk4"):
-        raise ValueError(f'method: found {method!r}, expected "dormand-prince" or "rk4"')
-    if not 1e-13 <= positive("rtol", rtol) < 1:
-        raise ValueError(f"rtol: found {rtol:g}, expected 1e-13 to 1")
-    fixed = period / whole("steps_per_period", steps_per_period) if method == "rk4" else 0.0
+def _settings(machine: Machine, period: float, method: Method) -> Settings:
     scales = machine.state_scales
-    atol = rtol * scales
-    atol[2:] = max(rtol, LEAST_PRESSURE_TOLERANCE) * scales[2:]
-    return Settings(float(rtol), atol, fixed, 50_000_000)
+    if isinstance(method, RungeKutta4):
+        return Settings(1.0, scales, period / method.steps_per_period, MAX_STEPS)
+    atol = method.rtol * scales
+    atol[2:] = max(method.rtol, LEAST_PRESSURE_TOLERANCE) * scales[2:]
+    return Settings(float(method.rtol), atol, 0.0, MAX_STEPS)
 
 
 def _schedule(machine: Machine, period: float) -> Schedule:
@@ -287,13 +312,15 @@ def _raise_stopped(machine: Machine, status: int, time: float, state: FloatArray
         chamber = chambers[int(np.argmin(shares))]
         raise ChamberVolumeError(
             f"the volume of {chamber} would reach zero at t = {time:.6g} s ({where}). Give the cylinder end stops "
-            f"(cylinder.lower_stop, cylinder.upper_stop), a larger cylinder.dead_volume_{chamber[-1]}, or a stiffer spring.",
+            f"(cylinder.lower_stop, cylinder.upper_stop), a larger cylinder.dead_volume_{chamber[-1]}, or a stiffer "
+            "spring.",
             time=time,
             state=state,
         )
     reason = "the step size fell below rounding" if status == STEP_TOO_SMALL else "it took too many steps"
     raise IntegrationError(
-        f"the integration stopped at t = {time:.6g} s ({where}): {reason}. Is a volume or an area wrong by orders of magnitude?",
+        f"the integration stopped at t = {time:.6g} s ({where}): {reason}. Is a volume or an area wrong by orders of "
+        "magnitude?",
         time=time,
         state=state,
     )
@@ -303,20 +330,14 @@ def _polynomial(records: Sequence[Record], period: float) -> PPoly:
     starts = np.concatenate([number * period + record.starts for number, record in enumerate(records)])
     coefficients = np.concatenate([record.coefficients for record in records])
     # PPoly wants the highest power first and (power, interval, state).
-    return PPoly(
-        np.moveaxis(coefficients[:, ::-1], 1, 0), np.append(starts, len(records) * period), extrapolate=False
-    )
+    return PPoly(np.moveaxis(coefficients[:, ::-1], 1, 0), np.append(starts, len(records) * period), extrapolate=False)
 
 
 def _orbit(machine: Machine, period: float, records: list[Record], reached: tuple[int, float]) -> Orbit:
     trajectory = PolynomialTrajectory(polynomial=_polynomial(records, period))
     modes = np.concatenate([record.modes for record in records])
     starts = trajectory.polynomial.x[:-1]
-    switches = [
-        number * period + t
-        for number in range(len(records))
-        for t in machine.openings.fractions[:-1] * period
-    ]
+    switches = [number * period + t for number in range(len(records)) for t in machine.openings.fractions[:-1] * period]
     at_switch = np.isin(starts, switches)
     begins = np.flatnonzero(at_switch | np.concatenate([[True], modes[1:] != modes[:-1]]))
     labels = {STUCK: "stuck", 1: "moves up", -1: "moves down"}

@@ -1,7 +1,9 @@
 """Operating points of the linear models: quasi-static (16), time means (15), per step from the LTI cycle (17).
 
-Points taken from a cycle may leave the range in which a linearization means something: at low speed the LTI cycle's mean pressures
-go above the supply. They are held inside the range of the quasi-static pressures, and away from pressures where the slope of the
+Points taken from a cycle may leave the range in which a linearization means something: at low speed the LTI cycle's
+mean pressures
+go above the supply. They are held inside the range of the quasi-static pressures, and away from pressures where the
+slope of the
 flow is infinite; what was held back is reported.
 """
 
@@ -40,9 +42,7 @@ def quasi_static_turn(machine: Machine, n_steps: int | None) -> Turn:
     stairs = staircase(machine, machine.openings.fractions.size - 1 if n_steps is None else n_steps)
     fine = fine_staircase(machine)
     states = quasi_static_states(machine, stairs.areas)
-    finely = (
-        states if fine.fractions.size == stairs.fractions.size else quasi_static_states(machine, fine.areas)
-    )
+    finely = states if fine.fractions.size == stairs.fractions.size else quasi_static_states(machine, fine.areas)
     widths = np.diff(fine.fractions)
     return Turn(stairs, states, widths @ finely)
 
@@ -55,8 +55,8 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
     load = machine.load
     if load.spring_stiffness == 0:
         raise ValueError(
-            "load.spring_stiffness: found 0, expected above zero: without a spring no position balances the pressures. Give "
-            "ltv_model the operating points as an array of states, one row a step, or use the nonlinear model"
+            "load.spring_stiffness: found 0, expected above zero: without a spring no position balances the pressures. "
+            "Give ltv_model the operating points as an array of states, one row a step, or use the nonlinear model"
         )
     arrays = machine.arrays
     states = np.zeros((areas.shape[0], len(machine.states)))
@@ -73,7 +73,8 @@ def held_inside(
 ) -> tuple[FloatArray, tuple[HeldBack, ...]]:
     """Return the operating points (n_steps, n) kept inside their range, and a list of those that were moved.
 
-    Position and pressures stay within the range of the quasi-static ones; pressures at least `least_distance`, relative,
+    Position and pressures stay within the range of the quasi-static ones; pressures at least `least_distance`,
+    relative,
     away from those of the sources that the chamber is open to.
     """
     low, high = turn.quasi_static.min(axis=0), turn.quasi_static.max(axis=0)

@@ -1,7 +1,9 @@
 """The staircase (10): any opening profile as a given number of steps, each with the step means of the areas.
 
-Steps end where the profile jumps, so at least as many are needed as the valve has positions (N_0). Further ones go to the longest
-piece of the profile, a ramp counting more than a plateau by its rise; with fewer steps than pieces, boundaries fall on piece
+Steps end where the profile jumps, so at least as many are needed as the valve has positions (N_0). Further ones go
+to the longest
+piece of the profile, a ramp counting more than a plateau by its rise; with fewer steps than pieces, boundaries fall
+on piece
 ends and middles of ramps, so that the staircase is as near to the profile as it can be.
 """
 
@@ -93,8 +95,8 @@ def _merged(table: OpeningTable, n_steps: int) -> FloatArray:
     jumps = _jumps(table)
     if n_steps < jumps.size + 1:
         raise ValueError(
-            f"n_steps: found {n_steps}, expected at least {jumps.size + 1}, the number of valve positions between jumps of "
-            "the openings"
+            f"n_steps: found {n_steps}, expected at least {jumps.size + 1}, the number of valve positions between "
+            "jumps of the openings"
         )
     cost = _step_costs(table, candidates, jumps)
     last = candidates.size - 1
@@ -119,27 +121,20 @@ def _jumps(table: OpeningTable) -> FloatArray:
 
 
 def _step_costs(table: OpeningTable, candidates: FloatArray, jumps: FloatArray) -> FloatArray:
-    """Squared error of one step from candidate i to j, infinite where j is not after i or a jump lies between, (K, K)."""
+    """Squared error of one step from candidate i to j, (K, K); infinite if j is not after i or a jump lies between."""
     widths = np.diff(candidates)
     means = _step_means(table, candidates)
     with np.errstate(invalid="ignore"):
         means = np.nan_to_num(means / np.max(table.areas, axis=0)[(0, 2),])
     # What varies within a candidate interval is lost whatever is merged, so the interval's mean stands for it.
-    first = np.cumsum(
-        np.concatenate([np.zeros((1, *means.shape[1:])), widths[:, None, None] * means]), axis=0
-    )
-    second = np.cumsum(
-        np.concatenate([np.zeros((1, *means.shape[1:])), widths[:, None, None] * means**2]), axis=0
-    )
+    first = np.cumsum(np.concatenate([np.zeros((1, *means.shape[1:])), widths[:, None, None] * means]), axis=0)
+    second = np.cumsum(np.concatenate([np.zeros((1, *means.shape[1:])), widths[:, None, None] * means**2]), axis=0)
     spans = candidates[None, :] - candidates[:, None]
     allowed = (spans > 0) & (
-        np.searchsorted(jumps, candidates)[None, :]
-        <= np.searchsorted(jumps, candidates, side="right")[:, None]
+        np.searchsorted(jumps, candidates)[None, :] <= np.searchsorted(jumps, candidates, side="right")[:, None]
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        errors = (second[None] - second[:, None]) - (first[None] - first[:, None]) ** 2 / spans[
-            :, :, None, None
-        ]
+        errors = (second[None] - second[:, None]) - (first[None] - first[:, None]) ** 2 / spans[:, :, None, None]
     return np.where(allowed, np.sum(errors, axis=(2, 3)), np.inf)
 
 

@@ -5,14 +5,15 @@ The mean comes from the integral of the augmented exponential,
 .. math:: \exp\left(\begin{bmatrix} M & I \\ 0 & 0 \end{bmatrix} T\right)
           = \begin{bmatrix} e^{M T} & \int_0^T e^{M t} dt \\ 0 & I \end{bmatrix}
 
-and extremes lie at step boundaries or at roots of a signal's derivative, which are bracketed on a grid fine enough for the
+and extremes lie at step boundaries or at roots of a signal's derivative, which are bracketed on a grid fine enough
+for the
 step's fastest oscillation and decay, and then solved for.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import cast, final
 
 import numpy as np
 from scipy.optimize import brentq
@@ -102,21 +103,18 @@ class ExponentialTrajectory:
         # The sample beyond was computed another way: at a root on the boundary rounding may leave no change of sign.
         if ends[0] * ends[1] >= 0:
             return float(self._rows[step, signal] @ start)
-        return float(
-            self._rows[step, signal] @ state(brentq(slope_at, 0.0, span, xtol=1e-15 * duration, rtol=1e-14))
-        )
+        root = cast(float, brentq(slope_at, 0.0, span, xtol=1e-15 * duration))
+        return float(self._rows[step, signal] @ state(root))
 
     @cached_property
     def _shares(self) -> FloatArray:
         """Shares of a step at which its states are sampled: evenly for oscillation, halving to 0 for decay."""
-        eigenvalues = (
-            np.linalg.eigvals(self.system.scaled.matrices[:, :-1, :-1]) * self.system.durations[:, None]
-        )
+        eigenvalues = np.linalg.eigvals(self.system.scaled.matrices[:, :-1, :-1]) * self.system.durations[:, None]
         swings = float(np.max(np.abs(eigenvalues.imag)))
         decay = float(np.max(np.abs(eigenvalues)))
         even = np.linspace(0.0, 1.0, 5 + int(np.ceil(4 * swings / np.pi)))
         halvings = 2.0 ** -np.arange(1, 2 + max(0, int(np.ceil(np.log2(max(decay, 1.0))))))
-        return np.union1d(even, halvings)
+        return np.asarray(np.union1d(even, halvings), dtype=np.float64)
 
     @cached_property
     def _sampled_states(self) -> FloatArray:

@@ -1,6 +1,7 @@
 """Monodromy matrix, Floquet multipliers and the verdict on stability.
 
-Only the multipliers, the eigenvalues of the map over one period, decide: stability in each step is neither needed nor enough.
+Only the multipliers, the eigenvalues of the map over one period, decide: stability in each step is neither needed
+nor enough.
 """
 
 import math
@@ -108,7 +109,7 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     values, right = np.linalg.eig(product)
     with np.errstate(divide="ignore"):
         log_moduli = np.log(np.abs(values)) + log_scale
-    order = np.lexsort((-values.imag, -log_moduli))
+    order = np.lexsort((-np.imag(values), -log_moduli))
     values, right, log_moduli = values[order], right[:, order], log_moduli[order]
     multipliers = np.exp(log_moduli) * np.exp(1j * np.angle(values))
     scales = maps.steps.scales
@@ -127,7 +128,8 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
 def _eigenvalue_error(vectors: ComplexArray, multipliers: ComplexArray, backward_error: float) -> float:
     """Bound the rounding error of the multipliers near the largest, from their condition numbers.
 
-    A simple eigenvalue moves by its condition number times the backward error; near a defective one, where that number has no
+    A simple eigenvalue moves by its condition number times the backward error; near a defective one, where that
+    number has no
     bound, by the n-th root of the backward error.
     """
     defective = backward_error ** (1.0 / multipliers.size)

@@ -2,7 +2,8 @@ r"""Step maps z -> W_m z + g_m from the exponential of the augmented matrix.
 
 .. math:: \exp\left(\begin{bmatrix} A & f \\ 0 & 0 \end{bmatrix} T\right) = \begin{bmatrix} W & g \\ 0 & 1 \end{bmatrix}
 
-No inverse of A is needed, so a singular step (a shut chamber, erratum E8) is like any other. The states are balanced and
+No inverse of A is needed, so a singular step (a shut chamber, erratum E8) is like any other. The states are balanced
+and
 the forcing scaled before exponentiating: in SI units the entries span nine decades.
 """
 
@@ -13,7 +14,7 @@ from typing import final
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.linalg.lapack import dgebal
+from scipy.linalg.lapack import dgebal  # pyright: ignore[reportAttributeAccessIssue] - made at build time
 from threadpoolctl import ThreadpoolController
 
 from ltvpneu._arrays import FloatArray
@@ -27,13 +28,14 @@ def _blas() -> ThreadpoolController:
 def exponentials(matrices: FloatArray) -> FloatArray:
     """Exponentials of a stack of small matrices, shape (..., k, k).
 
-    Long stacks go on one BLAS thread: on tiny matrices more threads cost five to twenty times as much on a busy machine.
+    Long stacks go on one BLAS thread: on tiny matrices more threads cost five to twenty times as much on a busy
+    machine.
     For short ones asking for that would cost more than it saves.
     """
     if matrices.shape[0] < 64:
-        return expm(matrices)
+        return np.asarray(expm(matrices), dtype=np.float64)
     with _blas().limit(limits=1, user_api="blas"):
-        return expm(matrices)
+        return np.asarray(expm(matrices), dtype=np.float64)
 
 
 @final

@@ -30,7 +30,8 @@ def response(
     initial_state : array_like, shape (n,), optional
         Zero by default.
     points_per_period : int
-        Least number of times per period; every step boundary is among them. Where an output jumps at a boundary, the value
+        Least number of times per period; every step boundary is among them. Where an output jumps at a boundary, the
+        value
         is the one just after it.
 
     Returns
@@ -57,8 +58,7 @@ def response(
         for duration in system.durations
     ]
     maps = [
-        exponentials(matrix * times[:, None, None])
-        for matrix, times in zip(steps.matrices, local_times, strict=True)
+        exponentials(matrix * times[:, None, None]) for matrix, times in zip(steps.matrices, local_times, strict=True)
     ]
     times, states, outputs = [], [], []
     for period in range(n_periods):

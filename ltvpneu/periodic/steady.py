@@ -1,13 +1,14 @@
 r"""Periodic steady state (14), with a diagnosis where there is none or more than one.
 
-z(T) = Phi z(0) + g, so the periodic state solves (I - Phi) z = g. A Floquet multiplier at one makes that singular: then the
+z(T) = Phi z(0) + g, so the periodic state solves (I - Phi) z = g. A Floquet multiplier at one makes that singular:
+then the
 part of g along its left eigenvector is a drift per period, and only if that vanishes is there an orbit, and a whole
 family of them.
 """
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray
+from ltvpneu._arrays import BoolArray, FloatArray
 from ltvpneu.errors import NonUniqueOrbitError, NoOrbitError
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
@@ -44,7 +45,8 @@ def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Or
     >>> lp.steady_state(integrator)
     Traceback (most recent call last):
     ...
-    ltvpneu.errors.NoOrbitError: no periodic steady state: a Floquet multiplier is one and every period drifts by z1 +0.25...
+    ltvpneu.errors.NoOrbitError: no periodic steady state: a Floquet multiplier is one and every period drifts by z1
+    +0.25...
     """
     return _orbit(system, periodic_states(system, singular_below))
 
@@ -88,11 +90,10 @@ def _orbit(system: PeriodicSystem, reached: FloatArray) -> Orbit:
 def _raise_singular(
     system: PeriodicSystem,
     maps: StepMaps,
-    decomposition: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    decomposition: tuple[FloatArray, FloatArray, FloatArray, BoolArray],
     forcing: FloatArray,
 ) -> None:
     left, values, right, null = decomposition
-    null = null.astype(bool)
     scales = maps.steps.scales
     left_null, right_null = left[:, null], right[null].T
     # Spectral projector: what a period adds along the directions that do not return.
@@ -107,8 +108,8 @@ def _raise_singular(
         shown = ", ".join(f"{name} {x:+.6g}" for name, x in zip(system.states, drift, strict=True) if x != 0)
         raise NoOrbitError(
             f"no periodic steady state: a Floquet multiplier is one and every period drifts by {shown}. "
-            "A piston without a spring, or a chamber that nothing empties, does that; balance the forcing or add a restoring "
-            "force.",
+            "A piston without a spring, or a chamber that nothing empties, does that; balance the forcing or add "
+            "a restoring force.",
             drift=drift,
         )
     inverse = np.where(null, 0.0, 1.0 / np.where(null, 1.0, values))
@@ -117,14 +118,13 @@ def _raise_singular(
     least_norm = particular - directions @ (directions.T @ particular)
     gap = float(values[null].max() / max(1.0, values[0]))
     shown = "; ".join(
-        ", ".join(
-            f"{name} {x:+.3g}" for name, x in zip(system.states, direction, strict=True) if abs(x) > 1e-12
-        )
+        ", ".join(f"{name} {x:+.3g}" for name, x in zip(system.states, direction, strict=True) if abs(x) > 1e-12)
         for direction in directions.T
     )
     raise NonUniqueOrbitError(
-        f"I - Phi is singular to {gap:.1e}: a Floquet multiplier equals one, so the orbit is not unique. Free direction: "
-        f"{shown}. A piston without a spring does that; the orbit nearest the origin is in .least_norm.",
+        f"I - Phi is singular to {gap:.1e}: a Floquet multiplier equals one, so the orbit is not unique. "
+        f"Free direction: {shown}. A piston without a spring does that; the orbit nearest the origin is "
+        "in .least_norm.",
         least_norm=least_norm,
         free_directions=directions,
     )

@@ -22,6 +22,9 @@ from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step
 if TYPE_CHECKING:
     import control
 
+Matrices = Sequence[ArrayLike] | FloatArray
+"""One matrix or vector a step: a list of them, or a stack."""
+
 CONSTANT_INPUT = "one"
 """Name of the input, of level 1, through which the remainder enters a step's `control.StateSpace`."""
 
@@ -114,9 +117,7 @@ class PeriodicSystem:
         N = durations.size
         if (durations < 0).any():
             worst = int(np.argmin(durations))
-            raise ValueError(
-                f"durations: found {durations[worst]:g} s in step {worst}, expected none negative"
-            )
+            raise ValueError(f"durations: found {durations[worst]:g} s in step {worst}, expected none negative")
         if not durations.any():
             raise ValueError("durations: found a period of 0 s, expected at least one step longer than zero")
         A = finite_array("A", self.A, (N, None, None))
@@ -137,12 +138,12 @@ class PeriodicSystem:
     @classmethod
     def from_matrices(
         cls,
-        A: Sequence[ArrayLike],
-        f: Sequence[ArrayLike],
+        A: Matrices,
+        f: Matrices,
         durations: ArrayLike,
-        B: Sequence[ArrayLike] | None = None,
-        C: Sequence[ArrayLike] | None = None,
-        D: Sequence[ArrayLike] | None = None,
+        B: Matrices | None = None,
+        C: Matrices | None = None,
+        D: Matrices | None = None,
     ) -> "PeriodicSystem":
         """Return the system with one entry of each list a step; f becomes the remainder r.
 

@@ -1,7 +1,8 @@
 """Cylinder: what a chamber's volume and push are over the piston position.
 
 V_1 = V_01 + A_p1 x grows with the position, V_2 = V_02 - A_p2 x shrinks; the push is (7b) with erratum E4,
-F = (A_p1 - C_p) p_1 - (A_p2 + C_p) p_2, where C_p acts as a change of area. A side without a dead volume is not a chamber:
+F = (A_p1 - C_p) p_1 - (A_p2 + C_p) p_2, where C_p acts as a change of area. A side without a dead volume is not a
+chamber:
 it stands open to the return pressure.
 """
 
@@ -50,9 +51,7 @@ class Cylinder:
                 positive(f"dead_volume_{side}", volume, "m^3")
             exponent = getattr(self, f"polytropic_exponent_{side}")
             if finite(f"polytropic_exponent_{side}", exponent) < 1:
-                raise ValueError(
-                    f"polytropic_exponent_{side}: found {exponent:g}, expected 1 (isothermal) or more"
-                )
+                raise ValueError(f"polytropic_exponent_{side}: found {exponent:g}, expected 1 (isothermal) or more")
         finite("seal_friction_area", self.seal_friction_area, "m^2")
         if self.dead_volume_1 is None and self.dead_volume_2 is None:
             raise ValueError("dead_volume_1, dead_volume_2: found neither, expected at least one chamber")

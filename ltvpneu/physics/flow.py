@@ -9,7 +9,8 @@ r = p_k/p_i,
           M_f = p_i \sqrt{\frac{\gamma}{R T_i} \left(\frac{2}{\gamma+1}\right)^{(\gamma+1)/(\gamma-1)}},
           \quad r \le r_c
 
-The slopes are (8k-n): with alpha the flow into chamber k and beta = -d(alpha)/dp_k, in the readings E7 and E7b. At equal
+The slopes are (8k-n): with alpha the flow into chamber k and beta = -d(alpha)/dp_k, in the readings E7 and E7b. At
+equal
 pressures the unchoked slope is infinite; the functions return it so, and the caller decides.
 
 M_f is homogeneous of degree one in (p_i, p_k), so by Euler's theorem dM_f/dp_i = (M_f - p_k dM_f/dp_k) / p_i.
@@ -166,12 +167,8 @@ def mass_flow_slopes(
         flow = _forward(first, second, source.pressure, chamber.pressure, source.temperature, gas)
         return (flow - chamber.pressure * by_chamber) / source.pressure, by_chamber
     if math.isinf(second):
-        by_source = -_forward_slope(
-            first, second, chamber.pressure, source.pressure, chamber.temperature, gas
-        )
+        by_source = -_forward_slope(first, second, chamber.pressure, source.pressure, chamber.temperature, gas)
     else:
-        by_source = -_forward_slope(
-            second, first, chamber.pressure, source.pressure, chamber.temperature, gas
-        )
+        by_source = -_forward_slope(second, first, chamber.pressure, source.pressure, chamber.temperature, gas)
     flow = -_backward(first, second, source, chamber, gas)
     return by_source, (flow - source.pressure * by_source) / chamber.pressure

@@ -1,6 +1,7 @@
 r"""Openings over the valve's cycle: piecewise-linear profiles, rotary valve kinematics (1)-(2), on-off valves.
 
-The angle theta = 2 pi Omega_p t of the valve runs once round per period. A `Profile` is any piecewise-linear function of
+The angle theta = 2 pi Omega_p t of the valve runs once round per period. A `Profile` is any piecewise-linear
+function of
 it, jumps included. Port m of a rotary valve opens way i into inner volume k by the area a_mk(theta); all ports of a way
 add up,
 
@@ -10,7 +11,8 @@ and where the inner volumes are collapsed to points, ways i and k are coupled th
 
 .. math:: \bar A_{ik}(\theta) = \sum_m \min\{A_{im}(\theta), A_{mk}(\theta)\} \qquad (2)
 
-With discharge coefficients the smaller C A counts. On-time is set by the offset angle theta_s between stator and housing:
+With discharge coefficients the smaller C A counts. On-time is set by the offset angle theta_s between stator and
+housing:
 two half-circle windows overlap from max(0, theta_s) to pi + min(0, theta_s).
 """
 
@@ -123,9 +125,7 @@ class Profile:
             share = at_start / (at_start - at_end)
         extra = (a.angles[:-1] + share * np.diff(a.angles))[crossing]
         a, b = a.refined(extra), b.refined(extra)
-        return Profile(
-            angles=a.angles, starts=np.minimum(a.starts, b.starts), ends=np.minimum(a.ends, b.ends)
-        )
+        return Profile(angles=a.angles, starts=np.minimum(a.starts, b.starts), ends=np.minimum(a.ends, b.ends))
 
 
 def _sum(profiles: Iterable[Profile]) -> Profile:
@@ -312,9 +312,7 @@ class RotaryValve:
 
     def collapsed_area(self, way: str, other: str) -> Profile:
         """Effective area between two ways, the inner volumes collapsed to points [m^2], eq. (2)."""
-        return _sum(
-            self.way_area(way, volume).minimum(self.way_area(other, volume)) for volume in self.volumes
-        )
+        return _sum(self.way_area(way, volume).minimum(self.way_area(other, volume)) for volume in self.volumes)
 
     def on_window(self) -> Window:
         """Return the arc over which the ports of phase "on" are all open."""
@@ -376,13 +374,11 @@ def _support(profile: Profile) -> Window:
         return Window(start=0.0, width=TURN)
     if not open_pieces.any():
         return Window(start=0.0, width=0.0)
-    risings = [
-        i for i, (before, now) in enumerate(pairwise([open_pieces[-1], *open_pieces])) if now and not before
-    ]
+    risings = [i for i, (before, now) in enumerate(pairwise([open_pieces[-1], *open_pieces])) if now and not before]
     if len(risings) > 1:
         raise ValueError(
-            f'ports: found {len(risings)} arcs on which the "on" ports are all open, expected one; give the flow path a '
-            "window of its own instead of a phase"
+            f'ports: found {len(risings)} arcs on which the "on" ports are all open, expected one; give the flow '
+            "path a window of its own instead of a phase"
         )
     width = float(np.sum(np.diff(profile.angles)[open_pieces]))
     return Window(start=float(profile.angles[risings[0]]), width=width)

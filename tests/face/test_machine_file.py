@@ -154,9 +154,7 @@ def test_a_bad_entry_is_named_with_file_key_finding_and_expectation(old, new, ma
 
 
 def test_a_missing_key_that_is_misspelt_is_found_by_its_neighbour():
-    with pytest.raises(
-        lp.MachineFileError, match=re.escape("rig.toml: load.maas: unknown key, did you mean 'mass'?")
-    ):
+    with pytest.raises(lp.MachineFileError, match=re.escape("rig.toml: load.maas: unknown key, did you mean 'mass'?")):
         parse_machine(GOOD.replace("mass =", "maas ="), "rig.toml")
 
 
@@ -206,9 +204,7 @@ open_for = "180 deg"
         return parse_machine(text, "rig.toml")
 
     assert len(make().connections) == 2
-    with pytest.raises(
-        lp.MachineFileError, match="valve.ports: found way 'suply', expected one of supply, exhaust"
-    ):
+    with pytest.raises(lp.MachineFileError, match="valve.ports: found way 'suply', expected one of supply, exhaust"):
         make(way="suply")
     with pytest.raises(lp.MachineFileError, match="collapse: found 'max'"):
         make(collapse="max")

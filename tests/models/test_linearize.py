@@ -25,9 +25,7 @@ def rate(machine: lp.Machine, state: np.ndarray, areas: np.ndarray) -> np.ndarra
 def difference(function, value: float, step: float) -> np.ndarray:
     """Central difference of sixth order."""
     weights = {1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
-    return (
-        sum(w * (function(value + k * step) - function(value - k * step)) for k, w in weights.items()) / step
-    )
+    return sum(w * (function(value + k * step) - function(value - k * step)) for k, w in weights.items()) / step
 
 
 def differences(machine: lp.Machine, state: np.ndarray, areas: np.ndarray) -> np.ndarray:
@@ -69,7 +67,10 @@ def relative_error(found: np.ndarray, expected: np.ndarray, machine: lp.Machine)
     return float(np.max(np.abs(found - expected) / np.where(size > 0, size, 1)))
 
 
-def clear_of_borders(machine: lp.Machine, state: np.ndarray) -> bool:
+def clear_of_borders(machine: lp.Machine, state: np.ndarray, areas: np.ndarray) -> bool:
+    # A path open by a millionth drowns in the rounding of the other paths' flows.
+    if ((areas > 0) & (areas < 1e-8)).any():
+        return False
     for pressure in state[2:]:
         for source in (machine.supply_pressure, machine.exhaust_pressure):
             ratio = min(pressure, source) / max(pressure, source)
@@ -93,7 +94,7 @@ def test_the_full_tangent_equals_differences_in_all_columns(name, values):
     machine = MACHINES[name]
     state = np.array(values[: len(machine.states)])
     areas = areas_at(machine, values[4])
-    assume(clear_of_borders(machine, state) and abs(state[1]) > 1e-3)
+    assume(clear_of_borders(machine, state, areas) and abs(state[1]) > 1e-3)
     found = lp.linearize(machine, state, angle=values[4], tangent="full")
     assert relative_error(found.A, differences(machine, state, areas), machine) < 1e-6
     if machine.cylinder.polytropic_exponent_1 == 1:
@@ -108,7 +109,7 @@ def test_the_papers_tangent_equals_differences_at_rest_but_for_the_position(name
     state = np.array(values[: len(machine.states)])
     state[1] = 0.0
     areas = areas_at(machine, values[4])
-    assume(clear_of_borders(machine, state))
+    assume(clear_of_borders(machine, state, areas))
     found = lp.linearize(machine, state, angle=values[4], tangent="paper")
     expected = differences(machine, state, areas)
     assert relative_error(found.A[:, 1:], expected[:, 1:], machine_of_columns(machine)) < 1e-6
@@ -143,9 +144,7 @@ def test_the_model_agrees_with_the_machine_at_its_operating_point(name, tangent)
     state = np.array([0.02, 0.0, 2.3e5, 3.1e5])[: len(machine.states)]
     found = lp.linearize(machine, state, angle=0.3, tangent=tangent)
     expected = rate(machine, state, areas_at(machine, 0.3))
-    np.testing.assert_allclose(
-        found.A @ state + found.f, expected, rtol=1e-9, atol=1e-9 * np.abs(found.f).max()
-    )
+    np.testing.assert_allclose(found.A @ state + found.f, expected, rtol=1e-9, atol=1e-9 * np.abs(found.f).max())
 
 
 def test_the_papers_isothermal_model_has_no_remainder(table_1, double_acting):
@@ -154,7 +153,8 @@ def test_the_papers_isothermal_model_has_no_remainder(table_1, double_acting):
         assert (lp.linearize(machine, state).r == 0).all()
 
 
-# Errata: each printed form fails where the corrected one holds ------------------------------------------------------------
+# Errata: each printed form fails where the corrected one holds
+# ------------------------------------------------------------
 
 
 def test_erratum_e3_and_e4_the_force_balance(table_1):
@@ -195,7 +195,8 @@ def test_erratum_e11_the_dead_volume_of_table_1(table_1):
     assert abs(0.82e-3 / (0.5 * 0.0254**3)) > 99
 
 
-# Errors -------------------------------------------------------------------------------------------------------------------
+# Errors
+# -------------------------------------------------------------------------------------------------------------------
 
 
 def test_an_infinite_slope_is_refused_not_returned(table_1):

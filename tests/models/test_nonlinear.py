@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -46,8 +47,8 @@ def test_one_period_from_rest_equals_the_slow_twin(name):
     twin = Twin(machine)
     start = machine.rest_state.copy()
     for _ in range(2):
-        times, states, start = twin.period(start, frequency)
-    response = lp.simulate(machine, frequency, n_periods=2, points_per_period=50, rtol=1e-10)
+        _, states, start = twin.period(start, frequency)
+    response = lp.simulate(machine, frequency, n_periods=2, points_per_period=50, method=lp.DormandPrince(rtol=1e-10))
     scale = machine.state_scales
     # Events differ by the integrators' tolerance, and the twin's areas are rounded at the switching instants.
     np.testing.assert_allclose(response.states[:, -1] / scale, start / scale, atol=2e-6)
@@ -87,11 +88,11 @@ def test_mass_closes_over_the_period(table_1):
     from ltvpneu.models.linearize import areas_at
 
     machine = table_1.without_dry_friction()
-    orbit = lp.nonlinear_orbit(machine, 6.0, rtol=1e-11, tolerance=1e-10)
+    orbit = lp.nonlinear_orbit(machine, 6.0, method=lp.DormandPrince(rtol=1e-11), tolerance=1e-10)
     mass_rates = []
     knots = [0.0, orbit.period / 2, orbit.period]
     nodes, weights = np.polynomial.legendre.leggauss(400)
-    for begin, end in zip(knots[:-1], knots[1:], strict=True):
+    for begin, end in pairwise(knots):
         times = (begin + end) / 2 + (end - begin) / 2 * nodes
         for time, state in zip(times, orbit.at(times).T, strict=True):
             rate = np.empty(3)
@@ -146,11 +147,7 @@ def test_duty_zero_and_one_come_to_rest(table_1, duty):
     free = lp.nonlinear_orbit(table_1.without_dry_friction().with_duty(duty), 4.0)
     # Supply through 6.4 mm2 against the bleed of 3.88 mm2, choked: the pressure at which the flows agree.
     flux = Twin(table_1).flux
-    pressure = (
-        brentq(lambda p: 6.4 * flux(4.1e5, p, 293.15) - 3.88 * flux(p, 1e5, 293.15), 1.1e5, 4e5)
-        if duty
-        else 1e5
-    )
+    pressure = brentq(lambda p: 6.4 * flux(4.1e5, p, 293.15) - 3.88 * flux(p, 1e5, 293.15), 1.1e5, 4e5) if duty else 1e5
     expected = ((0.59e-3 + 0.32e-4) * pressure - (0.64e-3 - 0.32e-4) * 1e5) / 2100
     assert free.mean("position") == pytest.approx(expected, abs=1e-7)
     assert free.n_periods == 1
@@ -170,14 +167,14 @@ def test_end_stops_hold_the_piston_without_rebound(table_1):
 
 def test_the_papers_runge_kutta_converges_to_the_adaptive_method(table_1):
     machine = table_1.without_dry_friction()
-    exact = lp.nonlinear_orbit(machine, 4.0, rtol=1e-11).amplitude("position")
+    exact = lp.nonlinear_orbit(machine, 4.0, method=lp.DormandPrince(rtol=1e-11)).amplitude("position")
     errors = [
-        abs(lp.nonlinear_orbit(machine, 4.0, method="rk4", steps_per_period=n).amplitude("position") - exact)
+        abs(lp.nonlinear_orbit(machine, 4.0, method=lp.RungeKutta4(steps_per_period=n)).amplitude("position") - exact)
         for n in (250, 500, 1000)
     ]
     # Fourth order but where the flow's slope jumps or has no bound: at least second is seen.
     assert errors[0] > 4 * errors[1] > 16 * errors[2]
-    with_friction = lp.nonlinear_orbit(table_1, 4.0, method="rk4", steps_per_period=4000)
+    with_friction = lp.nonlinear_orbit(table_1, 4.0, method=lp.RungeKutta4(steps_per_period=4000))
     assert with_friction.amplitude("position") == pytest.approx(
         lp.nonlinear_orbit(table_1, 4.0).amplitude("position"), rel=1e-3
     )
@@ -203,7 +200,8 @@ def test_a_transient_may_have_a_duty_cycle_of_its_own_each_period(table_1):
     assert stopped.state_labels == list(table_1.states)
 
 
-# Errors -------------------------------------------------------------------------------------------------------------------
+# Errors
+# -------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("frequency", [0.0, -1.0, np.inf, np.nan])
@@ -239,16 +237,20 @@ def test_an_orbit_that_does_not_settle_says_so_with_its_residual(table_1):
         ({"initial_state": [0.0, 0.0]}, "initial_state: found shape"),
         ({"initial_state": [-1.0, 0.0, 1e5]}, "volume of chamber_1 at position -1 m"),
         ({"initial_state": [0.0, 0.0, 0.0]}, "initial_state: pressure_1: found 0 Pa"),
-        ({"method": "euler"}, "method: found 'euler'"),
-        ({"rtol": 0.0}, "rtol: found 0"),
-        ({"rtol": 1e-20}, "rtol: found 1e-20"),
         ({"max_periods": 0}, "max_periods: found 0"),
-        ({"method": "rk4", "steps_per_period": 1.5}, "steps_per_period: found 1.5"),
     ],
 )
 def test_bad_arguments_of_an_orbit_are_named(table_1, arguments, match):
     with pytest.raises(ValueError, match=match):
         lp.nonlinear_orbit(table_1, 4.0, **arguments)
+
+
+def test_methods_check_their_numbers():
+    for rtol in (0.0, 1e-20, 1.0):
+        with pytest.raises(ValueError, match="rtol: found"):
+            lp.DormandPrince(rtol=rtol)
+    with pytest.raises(ValueError, match=r"steps_per_period: found 1\.5"):
+        lp.RungeKutta4(steps_per_period=1.5)  # type: ignore[arg-type]
 
 
 def test_bad_duties_of_a_transient_are_named(table_1):

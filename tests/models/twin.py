@@ -1,11 +1,13 @@
 """A slow, plain twin of the nonlinear model: scipy's integrator on equations written out once more, in Python.
 
-It shares no code with the package but the machine's data: areas are evaluated by their windows, flows by eq. (5) as printed
+It shares no code with the package but the machine's data: areas are evaluated by their windows, flows by eq. (5) as
+printed
 after correction, stick and slip by terminal events. It restarts at each switching instant and at each event.
 """
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -46,9 +48,7 @@ class Twin:
     def temperature(self, chamber: str, pressure: float) -> float:
         n = getattr(self.machine.cylinder, f"polytropic_exponent_{chamber[-1]}")
         # A trial step of the integrator may go below zero.
-        return self.machine.gas.temperature * (max(pressure, 1.0) / self.machine.exhaust_pressure) ** (
-            (n - 1) / n
-        )
+        return self.machine.gas.temperature * (max(pressure, 1.0) / self.machine.exhaust_pressure) ** ((n - 1) / n)
 
     def flow(self, connection, angle: float, pressure: float) -> float:
         machine = self.machine
@@ -109,7 +109,7 @@ class Twin:
         T = 1 / frequency
         times, states = [], []
         edges = self.switches() * T
-        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+        for begin, end in pairwise(edges):
             t, inside = begin, np.nextafter(end, begin)
             while t < inside:
                 z, t, part = self.stretch(z, t, inside, T)

@@ -52,9 +52,7 @@ def test_multipliers_do_not_depend_on_the_starting_step(system):
 @given(systems(), st.floats(0.1, 0.9))
 def test_splitting_a_step_changes_nothing(system, share):
     A, f, T = list(system.A), list(system.f), list(system.durations)
-    split = lp.PeriodicSystem.from_matrices(
-        [A[0], *A], [f[0], *f], [share * T[0], (1 - share) * T[0], *T[1:]]
-    )
+    split = lp.PeriodicSystem.from_matrices([A[0], *A], [f[0], *f], [share * T[0], (1 - share) * T[0], *T[1:]])
     np.testing.assert_allclose(lp.monodromy(split), lp.monodromy(system), atol=1e-13)
     a, b = lp.steady_state(system), lp.steady_state(split)
     for name in system.states:
@@ -106,9 +104,7 @@ def test_extremes_and_means_equal_those_of_dense_samples(system):
 
 def test_an_extreme_between_samples_of_a_fast_decay_is_found():
     """y = e^-t - e^-1000t peaks at ln(1000)/999 s of a step of 10 s."""
-    system = lp.PeriodicSystem.from_matrices(
-        [[[-1.0, 0.0], [0.0, -1000.0]]], [[1.0, 1000.0]], [10.0], C=[[[1.0, 1.0]]]
-    )
+    system = lp.PeriodicSystem.from_matrices([[[-1.0, 0.0], [0.0, -1000.0]]], [[1.0, 1000.0]], [10.0], C=[[[1.0, 1.0]]])
     switched = lp.PeriodicSystem.from_matrices(
         [np.diag([-1.0, -1000.0])] * 2, [[1.0, 0.0], [0.0, 1000.0]], [10.0, 10.0], C=[[[1.0, 1.0]]] * 2
     )
@@ -122,9 +118,7 @@ def test_an_extreme_between_samples_of_a_fast_decay_is_found():
 
 
 def test_a_swinging_step_is_sampled_finely_enough():
-    system = lp.PeriodicSystem.from_matrices(
-        [[[-0.1, 50.0], [-50.0, -0.1]]] * 2, [[1.0, 0.0], [-1.0, 0.0]], [3.0, 3.0]
-    )
+    system = lp.PeriodicSystem.from_matrices([[[-0.1, 50.0], [-50.0, -0.1]]] * 2, [[1.0, 0.0], [-1.0, 0.0]], [3.0, 3.0])
     orbit = lp.steady_state(system)
     samples = orbit.at(np.linspace(0, 6, 200001)[:-1])
     assert orbit.maximum("z1") == pytest.approx(samples[0].max(), rel=1e-5)
@@ -140,19 +134,20 @@ def test_response_and_orbit_equal_solve_ivp_restarted_at_each_switch():
     response = lp.response(system, n_periods=2, initial_state=z)
     for _ in range(2):
         for a, b, t in zip(A, f, T, strict=True):
-            z = solve_ivp(
-                lambda _t, y, a=a, b=b: a @ y + b, (0, t), z, method="DOP853", rtol=1e-12, atol=1e-12
-            ).y[:, -1]
+            z = solve_ivp(lambda _t, y, a=a, b=b: a @ y + b, (0, t), z, method="DOP853", rtol=1e-12, atol=1e-12).y[
+                :, -1
+            ]
     np.testing.assert_allclose(response.states[:, -1], z, atol=1e-10)
     for _ in range(30):
         for a, b, t in zip(A, f, T, strict=True):
-            z = solve_ivp(
-                lambda _t, y, a=a, b=b: a @ y + b, (0, t), z, method="DOP853", rtol=1e-12, atol=1e-12
-            ).y[:, -1]
+            z = solve_ivp(lambda _t, y, a=a, b=b: a @ y + b, (0, t), z, method="DOP853", rtol=1e-12, atol=1e-12).y[
+                :, -1
+            ]
     np.testing.assert_allclose(lp.steady_state(system).initial_state, z, atol=1e-10)
 
 
-# Exact numbers ------------------------------------------------------------------------------------------------------------
+# Exact numbers
+# ------------------------------------------------------------------------------------------------------------
 
 
 def test_a_short_pulse_is_not_missed():
@@ -216,7 +211,8 @@ def test_a_step_of_no_duration_changes_nothing():
     assert a.amplitude("z1") == pytest.approx(b.amplitude("z1"), rel=1e-12)
 
 
-# Outcomes -----------------------------------------------------------------------------------------------------------------
+# Outcomes
+# -----------------------------------------------------------------------------------------------------------------
 
 
 def test_no_orbit_states_its_drift():
@@ -246,13 +242,12 @@ def test_an_unstable_system_still_has_its_orbit():
     assert after.states[0, -1] == pytest.approx(orbit.initial_state[0], rel=1e-12)
 
 
-# python-control -----------------------------------------------------------------------------------------------------------
+# python-control
+# -----------------------------------------------------------------------------------------------------------
 
 
 def test_steps_are_named_state_spaces_and_lose_nothing():
-    system = lp.PeriodicSystem.from_matrices(
-        [[[-1.0]]], [[2.0]], [1.0], B=[[[3.0]]], C=[[[4.0]]], D=[[[5.0]]]
-    )
+    system = lp.PeriodicSystem.from_matrices([[[-1.0]]], [[2.0]], [1.0], B=[[[3.0]]], C=[[[4.0]]], D=[[[5.0]]])
     sys = system.steps[0].sys
     assert sys.state_labels == ["z1"]
     assert sys.input_labels == ["u1", "one"]
@@ -281,7 +276,8 @@ def test_a_response_is_a_named_time_response():
     assert response.output_labels == ["z1"]
 
 
-# Errors -------------------------------------------------------------------------------------------------------------------
+# Errors
+# -------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

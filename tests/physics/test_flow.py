@@ -53,9 +53,7 @@ def test_no_flow_between_equal_pressures_and_the_choked_constant_of_air():
 def test_mass_flux_of_eq_5_equals_its_formula_evaluated_plainly():
     up, down = 4.1e5, 3.3e5
     r = down / up
-    plain = up * math.sqrt(
-        2 * GAMMA / ((GAMMA - 1) * R * T) * (r ** (2 / GAMMA) - r ** ((GAMMA + 1) / GAMMA))
-    )
+    plain = up * math.sqrt(2 * GAMMA / ((GAMMA - 1) * R * T) * (r ** (2 / GAMMA) - r ** ((GAMMA + 1) / GAMMA)))
     assert mass_flux(up, down, T, AIR) == pytest.approx(plain, rel=1e-14)
 
 
@@ -86,10 +84,7 @@ def test_the_pressure_between_two_restrictions_passes_the_same_flow_through_both
     assert down <= middle <= up
     into, out = first * mass_flux(up, middle, T, AIR), second * mass_flux(middle, down, T, AIR)
     # The flow's slope over the middle pressure bounds how well the two can agree in double precision.
-    slope = (
-        abs(first * mass_flux_slope(up, middle, T, AIR))
-        + second * mass_flux(middle, down, T, AIR) / middle * 10
-    )
+    slope = abs(first * mass_flux_slope(up, middle, T, AIR)) + second * mass_flux(middle, down, T, AIR) / middle * 10
     slope += abs(second * mass_flux_slope(middle, down, T, AIR))
     assert abs(into - out) <= 1e-12 * max(into, out) + 1e-14 * up * min(slope, 1.0)
 
@@ -114,12 +109,8 @@ def test_slopes_of_the_flow_equal_central_differences_in_every_regime(p_i, p_k, 
 
     by_source, by_chamber = mass_flow_slopes(first, second, GasState(p_i, T), GasState(p_k, T), AIR)
     scale = abs(flow(p_i, p_k)) / max(p_i, p_k)
-    assert by_source == pytest.approx(
-        (flow(p_i + h, p_k) - flow(p_i - h, p_k)) / (2 * h), rel=1e-7, abs=1e-7 * scale
-    )
-    assert by_chamber == pytest.approx(
-        (flow(p_i, p_k + h) - flow(p_i, p_k - h)) / (2 * h), rel=1e-7, abs=1e-7 * scale
-    )
+    assert by_source == pytest.approx((flow(p_i + h, p_k) - flow(p_i - h, p_k)) / (2 * h), rel=1e-7, abs=1e-7 * scale)
+    assert by_chamber == pytest.approx((flow(p_i, p_k + h) - flow(p_i, p_k - h)) / (2 * h), rel=1e-7, abs=1e-7 * scale)
 
 
 @given(pressures, pressures)
@@ -132,7 +123,8 @@ def test_euler_makes_the_forcing_linear_in_the_source_pressure(p_i, p_k):
     assert alpha - by_chamber * p_k == pytest.approx(by_source * p_i, rel=1e-9, abs=1e-9 * abs(alpha))
 
 
-# Errata: each printed form fails where the corrected one holds ------------------------------------------------------------
+# Errata: each printed form fails where the corrected one holds
+# ------------------------------------------------------------
 
 
 def test_erratum_e1_the_printed_factor_density_has_not_the_units_of_mass_flux():

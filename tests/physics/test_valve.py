@@ -92,9 +92,7 @@ def test_ports_of_a_way_add_up_and_inner_volumes_collapse_to_the_smaller_area():
         single = [p.discharge_coefficient * p.area * p.window.profile.at(angle) for p in ports]
         volume_a = min(single[0] + single[1], single[2])
         volume_b = min(single[3], single[4])
-        assert valve.collapsed_area("supply", "chamber_1").at(angle) == pytest.approx(
-            volume_a + volume_b, abs=1e-13
-        )
+        assert valve.collapsed_area("supply", "chamber_1").at(angle) == pytest.approx(volume_a + volume_b, abs=1e-13)
         assert valve.collapsed_area("exhaust", "chamber_1").at(angle) == pytest.approx(
             min(single[5], single[4]), abs=1e-13
         )
@@ -146,8 +144,6 @@ def test_ports_and_windows_check_their_numbers():
     with pytest.raises(ValueError, match="phase: found 'of'"):
         Port(way="supply", area=1.0, discharge_coefficient=0.5, window=window, phase="of")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="offset_angle: found 4 rad"):
-        RotaryValve(
-            ports=(Port(way="supply", area=1.0, discharge_coefficient=0.5, window=window),), offset_angle=4.0
-        )
+        RotaryValve(ports=(Port(way="supply", area=1.0, discharge_coefficient=0.5, window=window),), offset_angle=4.0)
     with pytest.raises(ValueError, match="ports: found none"):
         RotaryValve(ports=())
