@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.machine import MachineArrays
 from ltvpneu.physics.flow import mass_flow, mass_flow_slopes
 from ltvpneu.physics.gas import GasState, polytropic_temperature
@@ -21,7 +21,7 @@ STUCK = 2
 """Mode of a piston held by stiction; in motion the mode is the direction +1 or -1, which signs the dry friction."""
 
 
-@compiled
+@inlined
 def gas_in_chamber(k: int, pressure: float, machine: MachineArrays) -> GasState:
     """Return pressure [Pa] and temperature [K] in chamber k, eq. (4) with ambient as the reference."""
     temperature = polytropic_temperature(
@@ -30,13 +30,13 @@ def gas_in_chamber(k: int, pressure: float, machine: MachineArrays) -> GasState:
     return GasState(pressure, temperature)
 
 
-@compiled
+@inlined
 def chamber_volume(k: int, position: float, machine: MachineArrays) -> float:
     """Return the volume of chamber k [m^3]."""
     return machine.chambers[k, 0] + machine.chambers[k, 1] * position
 
 
-@compiled
+@inlined
 def external_force(state: FloatArray, machine: MachineArrays) -> float:
     """F_e, all forces on the piston but friction [N], (7b)."""
     load = machine.load
@@ -46,7 +46,7 @@ def external_force(state: FloatArray, machine: MachineArrays) -> float:
     return force
 
 
-@compiled
+@inlined
 def state_rate(state: FloatArray, areas: FloatArray, mode: int, machine: MachineArrays, rate: FloatArray) -> bool:
     """Write the time derivative of the state into `rate`; False where a volume or pressure is not above zero.
 
@@ -104,8 +104,8 @@ def state_tangent(
         Over supply pressure, exhaust pressure and external force.
     """
     load = machine.load
-    A[:] = 0.0
-    B[:] = 0.0
+    A.fill(0.0)
+    B.fill(0.0)
     A[0, 1] = 1.0
     A[1, 0] = -load.spring_stiffness / load.mass
     A[1, 1] = -load.viscous_damping / load.mass
@@ -214,7 +214,8 @@ def settled_pressures(areas: FloatArray, machine: MachineArrays, start: FloatArr
     present = start
     for step in range(2 * n_steps):
         present = equilibrium_pressures(areas[step % n_steps], machine, present)
-        found[step % n_steps] = present
+        for k in range(start.size):
+            found[step % n_steps, k] = present[k]
     return found
 
 

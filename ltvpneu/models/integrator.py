@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import RK45
 
-from ltvpneu._arrays import FloatArray, IntArray
-from ltvpneu._compiled import compiled
+from ltvpneu._arrays import BoolArray, FloatArray, IntArray
+from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.dynamics import STUCK, external_force, source_range, state_rate
 from ltvpneu.models.machine import MachineArrays
 from ltvpneu.physics.friction import holding_force, slip_direction
@@ -32,6 +32,8 @@ class Schedule(NamedTuple):
     """Piece ends [s], from 0 to the period, shape (n_pieces + 1,)."""
     areas: FloatArray
     """As `OpeningTable.areas`."""
+    ramped: BoolArray
+    """Whether any area changes within the piece, shape (n_pieces,)."""
 
 
 class Settings(NamedTuple):
@@ -85,7 +87,7 @@ class Log(NamedTuple):
     """Intervals recorded so far, in arrays with room for more."""
 
     rows: FloatArray
-    """Start [s], span [s], mode; (capacity, 3)."""
+    """Start [s], span [s], mode, piece of the valve's cycle; (capacity, 4)."""
     coefficients: FloatArray
     """(capacity, 5, n_states)"""
     n_logged: int
@@ -100,6 +102,8 @@ class Record(NamedTuple):
     """Interval lengths [s]."""
     modes: IntArray
     """+1 or -1 in slip, `STUCK` while held."""
+    pieces: IntArray
+    """Piece of the valve's cycle."""
     coefficients: FloatArray
     """Ascending powers, shape (n_intervals, 5, n_states)."""
 
@@ -123,7 +127,14 @@ _ERROR = RK45.E
 _INTERPOLANT = RK45.P
 
 
-@compiled
+@inlined
+def _copy(source: FloatArray, target: FloatArray) -> None:
+    """Write one vector into another, entry by entry: numba takes seconds to compile what checks the shapes of slices."""
+    for i in range(source.size):
+        target[i] = source[i]
+
+
+@inlined
 def _areas_at(time: float, piece: int, schedule: Schedule, areas: FloatArray) -> None:
     """Write the effective areas at a time within a piece into `areas`, shape (2, n_paths)."""
     begin, end = schedule.times[piece], schedule.times[piece + 1]
@@ -157,7 +168,7 @@ def mode_of(state: FloatArray, machine: MachineArrays) -> int:
     return STUCK if direction == 0 else direction
 
 
-@compiled
+@inlined
 def _value(coefficients: FloatArray, component: int, share: float) -> float:
     """Interpolant of one state at a share of its step; coefficients (5, n_states) in powers of the share."""
     value = coefficients[4, component]
@@ -166,7 +177,7 @@ def _value(coefficients: FloatArray, component: int, share: float) -> float:
     return value
 
 
-@compiled
+@inlined
 def _margin(
     share: float, kind: int, mode: int, coefficients: FloatArray, machine: MachineArrays, state: FloatArray
 ) -> float:
@@ -189,22 +200,17 @@ def _margin(
 
 
 @compiled
-def _first_event(mode: int, coefficients: FloatArray, machine: MachineArrays, work: FloatArray) -> tuple[float, int]:
-    """Share of the step at which the first event happens, and its kind; 2.0 where none does.
+def _event_share(kind: int, mode: int, coefficients: FloatArray, machine: MachineArrays, work: FloatArray) -> float:
+    """Return the share of the step at which an event of a kind happens, 2.0 if it does not.
 
     Also looked for at the middle of the step, so that a short excursion is not passed over.
     """
-    first, found = 2.0, -1
-    for kind in range(4):
-        if (kind == 3) != (mode == STUCK):
-            continue
-        if kind == 0 and holding_force(machine.load.dry_friction, machine.load.stiction) == 0.0:
-            continue
+    high = 2.0
+    if _margin(0.5, kind, mode, coefficients, machine, work) < 0.0:
+        high = 0.5
+    elif _margin(1.0, kind, mode, coefficients, machine, work) < 0.0:
         high = 1.0
-        if _margin(0.5, kind, mode, coefficients, machine, work) < 0.0:
-            high = 0.5
-        elif _margin(1.0, kind, mode, coefficients, machine, work) >= 0.0:
-            continue
+    if high <= 1.0:
         low = 0.0
         for _ in range(60):
             middle = 0.5 * (low + high)
@@ -212,30 +218,52 @@ def _first_event(mode: int, coefficients: FloatArray, machine: MachineArrays, wo
                 high = middle
             else:
                 low = middle
-        # The far side of the bracket: the event has happened there, so it does not happen again.
-        if high < first:
-            first, found = high, kind
-    return first, found
+    # The far side of the bracket: the event has happened there, so it does not happen again.
+    return high
 
 
-@compiled
+@inlined
+def _first_event(mode: int, coefficients: FloatArray, machine: MachineArrays, work: FloatArray) -> tuple[float, int]:
+    """Return the share of the step at which the first event happens, and its kind; 2.0 and -1 where none does."""
+    first, found = 2.0, -1
+    if mode == STUCK:
+        first, found = _event_share(3, mode, coefficients, machine, work), 3
+    else:
+        # Looked at here, without a call: in slip this is asked at every step.
+        slowed = mode * _value(coefficients, 1, 0.5) < 0.0 or mode * _value(coefficients, 1, 1.0) < 0.0
+        if slowed and holding_force(machine.load.dry_friction, machine.load.stiction) > 0.0:
+            first, found = _event_share(0, mode, coefficients, machine, work), 0
+        if machine.load.lower_stop > -math.inf:
+            share = _event_share(1, mode, coefficients, machine, work)
+            if share < first:
+                first, found = share, 1
+        if machine.load.upper_stop < math.inf:
+            share = _event_share(2, mode, coefficients, machine, work)
+            if share < first:
+                first, found = share, 2
+    return first, found if first <= 1.0 else -1
+
+
+@inlined
 def _adaptive_step(h: float, time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
     """Try one Dormand-Prince step and return its scaled error; infinite where a stage left the equations' domain.
 
     Writes the new state, its rate as the seventh stage and, if the error is at most one, the interpolant.
     """
     state, new, stages, settings = space.state, space.new, space.stages, run.settings
-    n = new.size
+    # Areas that do not change were written when the piece began.
+    n, ramped = new.size, run.schedule.ramped[piece]
     for stage in range(1, 7):
         for i in range(n):
             total = 0.0
             for j in range(stage):
                 total += _STAGES[stage, j] * stages[j, i]
             new[i] = state[i] + h * total
-        _areas_at(time + _NODES[stage] * h, piece, run.schedule, space.areas)
+        if ramped:
+            _areas_at(time + _NODES[stage] * h, piece, run.schedule, space.areas)
         if not state_rate(new, space.areas, mode, run.machine, space.rate):
             return math.inf
-        stages[stage] = space.rate
+        _copy(space.rate, stages[stage])
     worst = 0.0
     for i in range(n):
         error = 0.0
@@ -270,9 +298,9 @@ def _fixed_step(h: float, time: float, piece: int, mode: int, run: Run, space: W
         _areas_at(time + share * h, piece, run.schedule, space.areas)
         if not state_rate(new, space.areas, mode, run.machine, space.rate):
             return math.inf
-        stages[stage] = space.rate
+        _copy(space.rate, stages[stage])
     # Where the next step looks for the rate of its start.
-    stages[6] = stages[4]
+    _copy(stages[4], stages[6])
     for i in range(new.size):
         rise, begin, end = new[i] - state[i], h * stages[0, i], h * stages[4, i]
         coefficients[1, i] = begin
@@ -313,39 +341,73 @@ def _land(kind: int, share: float, run: Run, space: Workspace) -> None:
 
 
 @compiled
-def _logged(log: Log, time: float, span: float, mode: int, h: float, coefficients: FloatArray) -> Log:
-    """Return the log with one more interval, in larger arrays if need be."""
+def _logged(log: Log, row: tuple[float, float, int, int], h: float, coefficients: FloatArray) -> Log:
+    """Return the log with one more interval: start, span, mode, piece, and the interpolant over a step of length h."""
     rows, recorded, count = log.rows, log.coefficients, log.n_logged
     if count == rows.shape[0]:
-        rows = np.empty((2 * count, 3))
-        recorded = np.empty((2 * count, *log.coefficients.shape[1:]))
-        rows[:count] = log.rows
-        recorded[:count] = log.coefficients
-    rows[count, 0], rows[count, 1], rows[count, 2] = time, span, mode
+        rows = np.empty((2 * count, 4))
+        recorded = np.empty((2 * count, 5, coefficients.shape[1]))
+        _copy(log.rows.ravel(), rows.ravel())
+        _copy(log.coefficients.ravel(), recorded.ravel())
+    rows[count, 0], rows[count, 1], rows[count, 2], rows[count, 3] = row
+    scale = 1.0
     for power in range(5):
-        recorded[count, power] = coefficients[power] / h**power
+        for i in range(coefficients.shape[1]):
+            recorded[count, power, i] = coefficients[power, i] * scale
+        scale /= h
     return Log(rows, recorded, count + 1)
 
 
 @compiled
-def _first_step(piece: int, run: Run) -> float:
-    """Length of the first step of a piece [s]."""
+def _fixed_length(piece: int, run: Run) -> float:
+    """Length of the fixed-step method's steps in a piece, a whole number of which fill it [s]."""
     length = run.schedule.times[piece + 1] - run.schedule.times[piece]
-    if run.settings.fixed_step > 0.0:
-        return length / math.ceil(length / run.settings.fixed_step * (1.0 - 1e-12))
-    return min(1e-3 * run.schedule.times[-1], length)
+    return length / math.ceil(length / run.settings.fixed_step * (1.0 - 1e-12))
+
+
+@inlined
+def _scaled_size(values: FloatArray, state: FloatArray, settings: Settings) -> float:
+    """Largest of some values in units of the tolerated error."""
+    worst = 0.0
+    for i in range(state.size):
+        worst = max(worst, abs(values[i]) / (settings.atol[i] + settings.rtol * abs(state[i])))
+    return worst
 
 
 @compiled
+def _first_length(time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
+    """Length of the adaptive method's first step after a switch or an event [s].
+
+    A short Euler step tells how fast the rate changes: in a time tau the rate, d in units of the tolerated error, becomes
+    another. A method of fifth order then errs by about d tau (h / tau)^5 / 100 units, which is to be a small part of one.
+    """
+    period = run.schedule.times[-1]
+    rate = _scaled_size(space.stages[0], space.state, run.settings)
+    if rate == 0.0:
+        return 1e-3 * period
+    small = min(0.01 * _scaled_size(space.state, space.state, run.settings) / rate, 1e-4 * period)
+    for i in range(space.state.size):
+        space.new[i] = space.state[i] + small * space.stages[0, i]
+    _areas_at(time + small, piece, run.schedule, space.areas)
+    if small == 0.0 or not state_rate(space.new, space.areas, mode, run.machine, space.rate):
+        return 1e-6 * period
+    for i in range(space.state.size):
+        space.new[i] = (space.rate[i] - space.stages[0, i]) / small
+    change = _scaled_size(space.new, space.state, run.settings)
+    tau = rate / change if change > 0.0 else period
+    return min(0.5 * tau * (100.0 / (rate * tau)) ** 0.2, period)
+
+
+@inlined
 def _start_rate(time: float, piece: int, mode: int, run: Run, space: Workspace) -> bool:
     """Write the rate at the state as the first stage; False outside the equations' domain."""
     _areas_at(time, piece, run.schedule, space.areas)
     inside = state_rate(space.state, space.areas, mode, run.machine, space.rate)
-    space.stages[0] = space.rate
+    _copy(space.rate, space.stages[0])
     return inside
 
 
-@compiled
+@inlined
 def _try_step(h: float, time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
     if run.settings.fixed_step > 0.0:
         return _fixed_step(h, time, piece, mode, run, space)
@@ -357,15 +419,18 @@ def _integrate_piece(piece: int, steps: int, mode: int, run: Run, space: Workspa
     """Integrate over one piece of the valve's cycle; `log.n_logged` below zero records nothing."""
     time, end, period = run.schedule.times[piece], run.schedule.times[piece + 1], run.schedule.times[-1]
     adaptive = run.settings.fixed_step == 0.0
-    h, fresh = _first_step(piece, run), True
+    # A length of zero asks for a first step; only the rate at its start can tell how long.
+    h, fresh = (0.0 if adaptive else _fixed_length(piece, run)), True
     while time < end:
         if steps >= run.settings.max_steps:
             return Progress(TOO_MANY_STEPS, time, steps, mode), log
         steps += 1
         if fresh and not _start_rate(time, piece, mode, run, space):
             return Progress(VOLUME_GONE, time, steps, mode), log
+        if h == 0.0:
+            h = _first_length(time, piece, mode, run, space)
         fresh = False
-        space.coefficients[0] = space.state
+        _copy(space.state, space.coefficients[0])
         last = time + 1.000001 * h >= end
         if last:
             h = end - time
@@ -381,15 +446,15 @@ def _integrate_piece(piece: int, steps: int, mode: int, run: Run, space: Workspa
             share = 1.0
         span = min(share, 1.0) * h
         if log.n_logged >= 0 and span > 0.0:
-            log = _logged(log, time, span, mode, h, space.coefficients)
+            log = _logged(log, (time, span, mode, piece), h, space.coefficients)
         time = end if last and share >= 1.0 else time + span
         if kind >= 0:
             _land(kind, share, run, space)
             mode, fresh = mode_of(space.state, run.machine), True
-            h = min(h, 1e-3 * period) if adaptive else h
+            h = 0.0 if adaptive else h
             continue
-        space.state[:] = space.new
-        space.stages[0] = space.stages[6]
+        _copy(space.new, space.state)
+        _copy(space.stages[6], space.stages[0])
         if mode == STUCK:
             _rest_at_source(run, space)
             fresh = True
@@ -406,28 +471,33 @@ def integrate_period(start: FloatArray, run: Run, recording: bool) -> Outcome:
         start.copy(), np.empty(n), np.empty(n), np.zeros((7, n)), np.zeros((5, n)), np.empty((2, n_paths))
     )
     log = (
-        Log(np.empty((64, 3)), np.empty((64, 5, n)), 0) if recording else Log(np.empty((0, 3)), np.empty((0, 5, n)), -1)
+        Log(np.empty((64, 4)), np.empty((64, 5, n)), 0) if recording else Log(np.empty((0, 4)), np.empty((0, 5, n)), -1)
     )
     progress = Progress(OK, 0.0, 0, mode_of(space.state, run.machine))
     for piece in range(run.schedule.times.size - 1):
         progress, log = _integrate_piece(piece, progress.steps, progress.mode, run, space, log)
         if progress.status != OK:
             break
-    count = max(log.n_logged, 0)
-    modes = log.rows[:count, 2].astype(np.int64)
-    record = Record(log.rows[:count, 0].copy(), log.rows[:count, 1].copy(), modes, log.coefficients[:count].copy())
+    rows = log.rows[: max(log.n_logged, 0)]
+    record = Record(
+        rows[:, 0].copy(),
+        rows[:, 1].copy(),
+        rows[:, 2].astype(np.int64),
+        rows[:, 3].astype(np.int64),
+        log.coefficients[: rows.shape[0]].copy(),
+    )
     return Outcome(progress.status, progress.time, progress.steps, space.state, record)
 
 
 class Settled(NamedTuple):
     """Where `settle` got to."""
 
-    status: int
     n_periods: int
+    """Least number of periods after which the state repeats; 0 if none was found."""
     n_simulated: int
     residual: float
-    time: float
-    state: FloatArray
+    last: Outcome
+    """The last period simulated."""
 
 
 MAX_SUBHARMONIC = 64
@@ -469,27 +539,85 @@ def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, ma
     Returns
     -------
     Settled
-        With `n_periods` zero if the state never repeated; `residual` is then the smallest change over any k.
+        With `n_periods` zero if the state never repeated, `residual` then being the smallest change over any k, or if the
+        last period could not be integrated.
     """
     n, ring = start.size, MAX_SUBHARMONIC + 1
     history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
-    state = start.copy()
-    history[0] = state
-    best = math.inf
-    for done in range(1, max_periods + 1):
-        outcome = integrate_period(state, run, False)
-        state = outcome.state
-        history[done % ring] = state
-        if outcome.status != OK:
-            time = (done - 1) * run.schedule.times[-1] + outcome.time
-            return Settled(outcome.status, 0, done, best, time, state)
+    _copy(start, history[0])
+    done, best = 1, math.inf
+    outcome = integrate_period(start, run, True)
+    while outcome.status == OK:
+        _copy(outcome.state, history[done % ring])
         best = math.inf
         for k in range(1, min(MAX_SUBHARMONIC, done) + 1):
             change = 0.0
             for i in range(n):
-                change = max(change, abs(state[i] - history[(done - k) % ring, i]) / scales[i])
+                change = max(change, abs(outcome.state[i] - history[(done - k) % ring, i]) / scales[i])
             changes[done % ring, k] = change
             best = min(best, change)
             if _is_settled(k, done, changes, tolerance):
-                return Settled(OK, k, done, change, 0.0, state)
-    return Settled(OK, 0, max_periods, best, 0.0, state)
+                return Settled(k, done, change, outcome)
+        if done == max_periods:
+            break
+        outcome = integrate_period(outcome.state, run, True)
+        done += 1
+    return Settled(0, done, best, outcome)
+
+
+@compiled
+def polynomial_extremes(coefficients: FloatArray, spans: FloatArray) -> tuple[float, float]:
+    """Return the least and the greatest value of a piecewise quartic.
+
+    On each interval they lie at an end or at a root of the derivative, a cubic. Between the cubic's own extremes, roots of
+    a parabola, it is monotone, so a change of sign brackets each root.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (n_intervals, 5)
+        Ascending powers of the time since the start of the interval.
+    spans : ndarray, shape (n_intervals,)
+    """
+    low, high = math.inf, -math.inf
+    cuts = np.empty(4)
+    for i in range(spans.size):
+        c, span = coefficients[i], spans[i]
+        cuts[0], cuts[3] = 0.0, span
+        # Second derivative 2 c2 + 6 c3 t + 12 c4 t^2; its roots outside the interval cut nothing off.
+        discriminant = 9.0 * c[3] * c[3] - 24.0 * c[2] * c[4]
+        root = math.sqrt(max(discriminant, 0.0))
+        larger = -(3.0 * c[3] + math.copysign(root, c[3]))
+        first = larger / (12.0 * c[4]) if c[4] != 0.0 else span
+        second = 2.0 * c[2] / larger if larger != 0.0 else span
+        cuts[1] = min(max(min(first, second), 0.0), span)
+        cuts[2] = min(max(max(first, second), 0.0), span)
+        for time in (0.0, span):
+            value = _quartic(c, time)
+            low, high = min(low, value), max(high, value)
+        for j in range(3):
+            if _quartic_slope(c, cuts[j]) * _quartic_slope(c, cuts[j + 1]) < 0.0:
+                value = _quartic(c, _slope_root(c, cuts[j], cuts[j + 1]))
+                low, high = min(low, value), max(high, value)
+    return low, high
+
+
+@compiled
+def _quartic(c: FloatArray, t: float) -> float:
+    return c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * c[4])))
+
+
+@compiled
+def _quartic_slope(c: FloatArray, t: float) -> float:
+    return c[1] + t * (2.0 * c[2] + t * (3.0 * c[3] + t * 4.0 * c[4]))
+
+
+@compiled
+def _slope_root(c: FloatArray, begin: float, end: float) -> float:
+    rising = _quartic_slope(c, end) > 0.0
+    for _ in range(60):
+        middle = 0.5 * (begin + end)
+        if (_quartic_slope(c, middle) > 0.0) == rising:
+            end = middle
+        else:
+            begin = middle
+    return 0.5 * (begin + end)

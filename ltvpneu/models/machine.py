@@ -110,6 +110,8 @@ class OpeningTable(NamedTuple):
     """Piece ends as shares of the period, from 0 to 1, shape (n_pieces + 1,)."""
     areas: FloatArray
     """First area at start and end, second at start and end [m^2], per piece and path; (n_pieces, 4, n_paths)."""
+    ramped: BoolArray
+    """Whether any area changes within the piece, shape (n_pieces,)."""
 
 
 @final
@@ -156,8 +158,8 @@ class Machine:
         if self.supply_pressure < self.exhaust_pressure:
             raise ValueError(
                 f"supply_pressure: found {self.supply_pressure:g} Pa, below the exhaust pressure "
-                f"{self.exhaust_pressure:g} Pa; expected both absolute (a gauge pressure is written with the suffix (g), "
-                "as in '3.1 bar(g)')"
+                f"{self.exhaust_pressure:g} Pa; expected both absolute (a gauge pressure is written with the suffix "
+                "(g), as in '3.1 bar(g)')"
             )
         if self.collapse not in ("minimum", "in_series"):
             raise ValueError(f'collapse: found {self.collapse!r}, expected "minimum" or "in_series"')
@@ -269,7 +271,8 @@ class Machine:
                     cut = profile.refined(angles)
                     areas[:, row, number] = cut.starts
                     areas[:, row + 1, number] = cut.ends
-        return OpeningTable(read_only(angles / angles[-1]), read_only(areas))
+        ramped = (areas[:, (0, 2)] != areas[:, (1, 3)]).any(axis=(1, 2))
+        return OpeningTable(read_only(angles / angles[-1]), read_only(areas), ramped)
 
     @cached_property
     def arrays(self) -> MachineArrays:

@@ -26,6 +26,7 @@ from ltvpneu.models.integrator import (
     Schedule,
     Settings,
     integrate_period,
+    polynomial_extremes,
     settle,
 )
 from ltvpneu.models.machine import Machine
@@ -88,35 +89,33 @@ MAX_STEPS = 50_000_000
 class PolynomialTrajectory:
     """One period of a solution as the integrator's interpolant: a polynomial on each of its intervals."""
 
-    polynomial: PPoly
+    starts: FloatArray
+    """Starts of the intervals [s], shape (n_intervals,)."""
+    spans: FloatArray
+    """Their lengths [s]."""
+    coefficients: FloatArray
+    """Ascending powers of the time since the start, shape (n_intervals, 5, n_states)."""
+
+    @cached_property
+    def _polynomial(self) -> PPoly:
+        # PPoly wants the highest power first and (power, interval, state).
+        edges = np.append(self.starts, self.starts[-1] + self.spans[-1])
+        return PPoly(np.moveaxis(self.coefficients[:, ::-1], 1, 0), edges, extrapolate=True)
 
     def at(self, times: FloatArray) -> FloatArray:
         """Return the states at times within the period [s], shape (n_states, n_times)."""
-        values: FloatArray = self.polynomial(times)
+        values: FloatArray = self._polynomial(times)
         return values.T
 
     def means(self) -> FloatArray:
         """Return the time means, shape (n_states,)."""
-        begin, end = self.polynomial.x[0], self.polynomial.x[-1]
-        integral: FloatArray = self.polynomial.integrate(begin, end)
-        return integral / (end - begin)
+        powers = np.arange(1, 6)
+        integrals = self.spans[:, None] ** powers / powers
+        return np.einsum("ij,ijk->k", integrals, self.coefficients) / np.sum(self.spans)
 
     def extremes(self, signal: int) -> tuple[float, float]:
         """Return the least and the greatest value of a state: at interval ends or where the derivative vanishes."""
-        one = PPoly(self.polynomial.c[:, :, signal], self.polynomial.x)
-        # A derivative that is zero on a whole interval (a piston held) gives nan for a root.
-        roots = one.derivative().roots(discontinuity=False, extrapolate=False)
-        candidates = np.concatenate([one.x, roots[np.isfinite(roots)]])
-        values = np.concatenate([one(candidates), self._left_limits[:, signal]])
-        return float(values.min()), float(values.max())
-
-    @cached_property
-    def _left_limits(self) -> FloatArray:
-        widths = np.diff(self.polynomial.x)[:, None]
-        value = self.polynomial.c[0]
-        for power in self.polynomial.c[1:]:
-            value = value * widths + power
-        return value
+        return polynomial_extremes(self.coefficients[:, :, signal].copy(), self.spans)
 
 
 def nonlinear_orbit(
@@ -173,8 +172,9 @@ def nonlinear_orbit(
     run, scales = Run(_schedule(machine, period), machine.arrays, settings), machine.state_scales
     max_periods = whole("max_periods", max_periods)
     found = settle(start, run, scales, positive("tolerance", tolerance), max_periods)
-    if found.status != OK:
-        _raise_stopped(machine, found.status, found.time, found.state)
+    if found.last.status != OK:
+        elapsed = (found.n_simulated - 1) * period + found.last.time
+        _raise_stopped(machine, found.last.status, elapsed, found.last.state)
     if found.n_periods == 0:
         raise NotSettledError(
             f"no periodic orbit after {found.n_simulated} valve periods: the scaled state still changes by "
@@ -182,15 +182,17 @@ def nonlinear_orbit(
             "(raise max_periods) or be chaotic (look at lp.simulate).",
             residual=found.residual,
             n_simulated=found.n_simulated,
-            last_state=found.state,
+            last_state=found.last.state,
         )
+    if found.n_periods == 1:
+        return _orbit(machine, period, [found.last.record], (found.n_simulated, found.residual))
     records: list[Record] = []
-    state = found.state
+    state = found.last.state
     for _ in range(found.n_periods):
         outcome = integrate_period(state, run, True)
         state = outcome.state
         records.append(outcome.record)
-    closure = float(np.max(np.abs(state - found.state) / scales))
+    closure = float(np.max(np.abs(state - found.last.state) / scales))
     return _orbit(machine, period, records, (found.n_simulated, closure))
 
 
@@ -260,7 +262,7 @@ def simulate(  # noqa: PLR0913 - one call for one transient
             _raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
         local = np.union1d(even, schedule.times)[:-1]
         times.append(number * period + local)
-        states.append(_polynomial([outcome.record], period)(local))
+        states.append(_trajectory(outcome.record).at(local).T)
         state = outcome.state
     times.append(np.array([n_periods * period]))
     states.append(state[None])
@@ -278,7 +280,8 @@ def _settings(machine: Machine, period: float, method: Method) -> Settings:
 
 
 def _schedule(machine: Machine, period: float) -> Schedule:
-    return Schedule(machine.openings.fractions * period, machine.openings.areas)
+    table = machine.openings
+    return Schedule(table.fractions * period, table.areas, table.ramped)
 
 
 def _initial_state(machine: Machine, initial_state: ArrayLike | None) -> FloatArray:
@@ -326,46 +329,56 @@ def _raise_stopped(machine: Machine, status: int, time: float, state: FloatArray
     )
 
 
-def _polynomial(records: Sequence[Record], period: float) -> PPoly:
-    starts = np.concatenate([number * period + record.starts for number, record in enumerate(records)])
-    coefficients = np.concatenate([record.coefficients for record in records])
-    # PPoly wants the highest power first and (power, interval, state).
-    return PPoly(np.moveaxis(coefficients[:, ::-1], 1, 0), np.append(starts, len(records) * period), extrapolate=False)
+def _joined(records: Sequence[Record], period: float) -> Record:
+    """Return the records of consecutive periods as one."""
+    if len(records) == 1:
+        return records[0]
+    return Record(
+        starts=np.concatenate([number * period + record.starts for number, record in enumerate(records)]),
+        spans=np.concatenate([record.spans for record in records]),
+        modes=np.concatenate([record.modes for record in records]),
+        # Numbered on through all periods: with one piece a turn, a new period is the only sign of it.
+        pieces=np.concatenate(
+            [number * (record.pieces[-1] + 1) + record.pieces for number, record in enumerate(records)]
+        ),
+        coefficients=np.concatenate([record.coefficients for record in records]),
+    )
+
+
+def _trajectory(record: Record) -> PolynomialTrajectory:
+    return PolynomialTrajectory(starts=record.starts, spans=record.spans, coefficients=record.coefficients)
 
 
 def _orbit(machine: Machine, period: float, records: list[Record], reached: tuple[int, float]) -> Orbit:
-    trajectory = PolynomialTrajectory(polynomial=_polynomial(records, period))
-    modes = np.concatenate([record.modes for record in records])
-    starts = trajectory.polynomial.x[:-1]
-    switches = [number * period + t for number in range(len(records)) for t in machine.openings.fractions[:-1] * period]
-    at_switch = np.isin(starts, switches)
-    begins = np.flatnonzero(at_switch | np.concatenate([[True], modes[1:] != modes[:-1]]))
+    record = _joined(records, period)
+    modes, pieces = record.modes, record.pieces
+    changed = (modes[1:] != modes[:-1]) | (pieces[1:] != pieces[:-1])
+    begins = np.append(0, changed.nonzero()[0] + 1)
     labels = {STUCK: "stuck", 1: "moves up", -1: "moves down"}
-    states = trajectory.polynomial.c[-1][begins]
     free = not machine.has_dry_friction
+    trajectory = _trajectory(record)
     n_simulated, residual = reached
     return Orbit(
         system_period=period,
         n_periods=len(records),
-        step_times=read_only(np.append(starts[begins], trajectory.polynomial.x[-1])),
-        step_states=read_only(states),
-        step_labels=tuple("free" if free and modes[i] != STUCK else labels[int(modes[i])] for i in begins),
+        step_times=read_only(np.append(record.starts[begins], len(records) * period)),
+        step_states=read_only(record.coefficients[begins, 0]),
+        step_labels=tuple("free" if free and mode != STUCK else labels[mode] for mode in modes[begins].tolist()),
         trajectory=trajectory,
         states=machine.states,
         outputs=machine.states,
-        is_unique=not _in_stiction_band(machine, trajectory.polynomial, modes),
-        residual=residual,
+        is_unique=not _in_stiction_band(machine, trajectory, modes),
+        residual=float(residual),
         n_simulated=n_simulated,
         name=machine.name,
     )
 
 
-def _in_stiction_band(machine: Machine, polynomial: PPoly, modes: IntArray) -> bool:
+def _in_stiction_band(machine: Machine, trajectory: PolynomialTrajectory, modes: IntArray) -> bool:
     """Whether the piston rests throughout, held by stiction alone, so that it could rest beside just as well."""
-    if not (modes == STUCK).all() or not machine.has_dry_friction:
+    if not machine.has_dry_friction or not (modes == STUCK).all():
         return False
-    states = polynomial.c[-1]
-    forces = np.array([external_force(state, machine.arrays) for state in states])
+    forces = [external_force(state, machine.arrays) for state in trajectory.coefficients[:, 0]]
     hold = holding_force(machine.load.dry_friction, machine.load.stiction)
     # Pressed against an end stop by more than stiction holds, it has nowhere else to rest.
-    return bool(np.max(np.abs(forces)) <= hold * (1 + 1e-9))
+    return max(abs(force) for force in forces) <= hold * (1 + 1e-9)

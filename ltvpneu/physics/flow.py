@@ -36,10 +36,16 @@ def mass_flux(upstream: float, downstream: float, temperature: float, gas: GasCo
     """
     if downstream <= gas.critical_pressure_ratio * upstream:
         return upstream * gas.choked / math.sqrt(temperature)
-    # r^(2/g) - r^((g+1)/g) = w (w - r), w = r^(1/g); log1p and expm1 keep its digits where the pressures almost agree.
-    log_ratio = math.log1p((downstream - upstream) / upstream)
-    w = math.exp(log_ratio / gas.heat_capacity_ratio)
-    difference = -downstream / upstream * math.expm1(-(1.0 - 1.0 / gas.heat_capacity_ratio) * log_ratio)
+    # r^(2/g) - r^((g+1)/g) = w (w - r), w = r^(1/g).
+    ratio = downstream / upstream
+    if ratio < 0.99:
+        w = ratio ** (1.0 / gas.heat_capacity_ratio)
+        difference = w - ratio
+    else:
+        # log1p and expm1 keep the digits of the difference where the pressures almost agree.
+        log_ratio = math.log1p((downstream - upstream) / upstream)
+        w = math.exp(log_ratio / gas.heat_capacity_ratio)
+        difference = ratio * math.expm1(-(1.0 - 1.0 / gas.heat_capacity_ratio) * log_ratio)
     return upstream * gas.unchoked * math.sqrt(w * abs(difference) / temperature)
 
 

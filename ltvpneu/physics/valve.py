@@ -258,7 +258,7 @@ class RotaryValve:
     >>> ports = (Port(way="supply", area=0.32e-4, discharge_coefficient=0.65, window=half),
     ...          Port(way="chamber_1", area=0.16e-4, discharge_coefficient=0.4, window=half, turns_with_offset=True))
     >>> valve = RotaryValve(ports=ports, offset_angle=math.radians(90))
-    >>> valve.collapsed_area("supply", "chamber_1").mean(0.0, TURN) / 0.64e-5
+    >>> round(valve.collapsed_area("supply", "chamber_1").mean(0.0, TURN) / 0.64e-5, 9)
     0.25
     """
 
