@@ -2,8 +2,8 @@
 
 Table 1 at 4 Hz from rest, amplitude right to 0.1 %, and to 1e-5 and 1e-7 beside it. The peer restarts at the switching
 instants and at stick and slip, which it locates as events, over the same number of periods, and each side runs at the
-loosest tolerance that is right enough. The peer runs twice: on a right-hand side written in Python, and on the package's
-compiled one.
+loosest tolerance that is right enough. The peer runs twice: on a right-hand side written in Python, and on the
+package's compiled one.
 """
 
 import math

@@ -22,8 +22,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel into each of its callers.
 
-    A call that passes tuples of arrays counts references to each array up and down, which in the integrator's inner loop
-    costs several times the arithmetic.
+    A call that passes tuples of arrays counts references to each array up and down, which in the integrator's inner
+    loop costs several times the arithmetic.
     """
     return numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)
 

@@ -129,7 +129,7 @@ _INTERPOLANT = RK45.P
 
 @inlined
 def _copy(source: FloatArray, target: FloatArray) -> None:
-    """Write one vector into another, entry by entry: numba takes seconds to compile what checks the shapes of slices."""
+    """Write one vector into another entry by entry: numba takes seconds to compile what checks the shapes of slices."""
     for i in range(source.size):
         target[i] = source[i]
 
@@ -378,8 +378,9 @@ def _scaled_size(values: FloatArray, state: FloatArray, settings: Settings) -> f
 def _first_length(time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
     """Length of the adaptive method's first step after a switch or an event [s].
 
-    A short Euler step tells how fast the rate changes: in a time tau the rate, d in units of the tolerated error, becomes
-    another. A method of fifth order then errs by about d tau (h / tau)^5 / 100 units, which is to be a small part of one.
+    A short Euler step tells how fast the rate changes: in a time tau the rate, d in units of the tolerated error,
+    becomes another. A method of fifth order then errs by about d tau (h / tau)^5 / 100 units, which is to be a small
+    part of one.
     """
     period = run.schedule.times[-1]
     rate = _scaled_size(space.stages[0], space.state, run.settings)
@@ -539,8 +540,8 @@ def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, ma
     Returns
     -------
     Settled
-        With `n_periods` zero if the state never repeated, `residual` then being the smallest change over any k, or if the
-        last period could not be integrated.
+        With `n_periods` zero if the state never repeated, `residual` then being the smallest change over any k, or if
+        the last period could not be integrated.
     """
     n, ring = start.size, MAX_SUBHARMONIC + 1
     history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
@@ -569,8 +570,8 @@ def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, ma
 def polynomial_extremes(coefficients: FloatArray, spans: FloatArray) -> tuple[float, float]:
     """Return the least and the greatest value of a piecewise quartic.
 
-    On each interval they lie at an end or at a root of the derivative, a cubic. Between the cubic's own extremes, roots of
-    a parabola, it is monotone, so a change of sign brackets each root.
+    On each interval they lie at an end or at a root of the derivative, a cubic. Between the cubic's own extremes, roots
+    of a parabola, it is monotone, so a change of sign brackets each root.
 
     Parameters
     ----------

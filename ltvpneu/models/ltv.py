@@ -35,7 +35,8 @@ def ltv_model(
     frequency : float
         Switching frequency [Hz].
     n_steps : int
-        N_s, steps of the staircase over one turn; at least the number of valve positions.
+        N_s, steps of the staircase over one turn; at least the number of valve positions. A position that lasts across
+        the start of the turn is cut in two there, and counts as one where no more steps are asked for than positions.
     operating_points : str or ndarray, shape (n_steps, n)
         "lti": means over each step of the LTI model's cycle (17), the position held at its mean over the turn, which
         the paper found more accurate; "lti-position": the position by (17) too; "mean": the cycle's means over the
@@ -78,7 +79,8 @@ def ltv_model(
         points, held_back = held_inside(machine, turn, asked, least_distance)
     else:
         stairs = staircase(machine, n_steps)
-        points = finite_array("operating_points", operating_points, (n_steps, len(machine.states)))
+        N = stairs.fractions.size - 1
+        points = finite_array("operating_points", operating_points, (N, len(machine.states)))
     linearization = linearize_steps(machine, points, stairs.areas, tangent)
     return LtvModel(
         system=assemble(machine, frequency, stairs, linearization, f"{machine.identifier}_ltv"),

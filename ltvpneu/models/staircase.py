@@ -15,6 +15,10 @@ from ltvpneu._arrays import FloatArray, read_only, whole
 from ltvpneu.models.machine import Machine, OpeningTable
 
 
+LEAST_JUMP = 1e-9
+"""Relative change of an area that counts as a jump [-]; where two pieces of a ramp meet, rounding makes smaller ones."""
+
+
 class Staircase(NamedTuple):
     """Steps of constant areas over one turn."""
 
@@ -26,6 +30,9 @@ class Staircase(NamedTuple):
 
 def staircase(machine: Machine, n_steps: int) -> Staircase:
     """Return the machine's openings as `n_steps` steps, eq. (10) with erratum E9.
+
+    A valve position that lasts across the start of the turn is cut in two there. Where no more steps are asked for than the
+    valve has positions, it counts as one, so there is then a step more.
 
     Raises
     ------
@@ -42,6 +49,14 @@ def staircase(machine: Machine, n_steps: int) -> Staircase:
     n_steps = whole("n_steps", n_steps)
     table = machine.openings
     n_pieces = table.fractions.size - 1
+    n_positions = _jumps(table).size + 1
+    if n_steps == n_positions - 1 and not _jumps_at_start(table):
+        n_steps = n_positions
+    if n_steps < n_positions:
+        raise ValueError(
+            f"n_steps: found {n_steps}, expected at least {n_positions}, the number of valve positions between jumps of "
+            "the openings"
+        )
     fractions = _split(table, n_steps) if n_steps >= n_pieces else _merged(table, n_steps)
     return Staircase(read_only(fractions), read_only(_step_means(table, fractions)))
 
@@ -92,13 +107,7 @@ def _merged(table: OpeningTable, n_steps: int) -> FloatArray:
     """
     counts = np.where(_rises(table) > 0, 2, 1)
     candidates = _subdivided(table, counts)
-    jumps = _jumps(table)
-    if n_steps < jumps.size + 1:
-        raise ValueError(
-            f"n_steps: found {n_steps}, expected at least {jumps.size + 1}, the number of valve positions between "
-            "jumps of the openings"
-        )
-    cost = _step_costs(table, candidates, jumps)
+    cost = _step_costs(table, candidates, _jumps(table))
     last = candidates.size - 1
     best, chosen = cost[0], []
     for _ in range(n_steps - 1):
@@ -115,9 +124,16 @@ def _jumps(table: OpeningTable) -> FloatArray:
     ends, starts = table.areas[:-1, (1, 3)], table.areas[1:, (0, 2)]
     with np.errstate(invalid="ignore"):
         changes = np.abs(starts - ends) / np.max(table.areas, axis=0)[(0, 2),]
-    # Where two pieces of a ramp meet, their ends may differ by rounding.
-    jumps = np.any(np.nan_to_num(changes) > 1e-9, axis=(1, 2))
+    jumps = np.any(np.nan_to_num(changes) > LEAST_JUMP, axis=(1, 2))
     return table.fractions[1:-1][jumps]
+
+
+def _jumps_at_start(table: OpeningTable) -> bool:
+    """Whether any opening jumps from the end of the turn to its start."""
+    ends, starts = table.areas[-1, (1, 3)], table.areas[0, (0, 2)]
+    with np.errstate(invalid="ignore"):
+        changes = np.abs(starts - ends) / np.max(table.areas, axis=0)[(0, 2),]
+    return bool(np.any(np.nan_to_num(changes) > LEAST_JUMP))
 
 
 def _step_costs(table: OpeningTable, candidates: FloatArray, jumps: FloatArray) -> FloatArray:

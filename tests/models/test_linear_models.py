@@ -171,6 +171,17 @@ def test_ramps_are_resolved_as_the_number_of_steps_grows():
     assert staircase(machine, 2).fractions[1] == pytest.approx(170 / 360, abs=1e-9)
 
 
+@pytest.mark.parametrize("offset", [-1.0, -0.2, 0.0, 0.2, 1.0])
+def test_two_steps_are_enough_for_two_valve_positions_at_any_offset(table_1, offset):
+    """With a positive offset the valve is shut across the start of the turn, where its step is cut in two."""
+    machine = table_1.with_offset(offset)
+    model = lp.ltv_model(machine, 6.0, n_steps=2)
+    assert model.system.n_steps == (3 if offset > 0 else 2)
+    exact = lp.nonlinear_orbit(machine.without_dry_friction(), 6.0)
+    assert amplitude(model) / 1e3 == pytest.approx(exact.amplitude("position"), rel=0.25)
+    assert lp.steady_state(model.system).mean("position") == pytest.approx(exact.mean("position"), rel=0.25)
+
+
 def test_fewer_steps_than_valve_positions_are_refused(table_1):
     with pytest.raises(ValueError, match="n_steps: found 1, expected at least 2, the number of valve positions"):
         lp.ltv_model(table_1, 4.0, n_steps=1)
