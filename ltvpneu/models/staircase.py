@@ -14,9 +14,8 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, read_only, whole
 from ltvpneu.models.machine import Machine, OpeningTable
 
-
 LEAST_JUMP = 1e-9
-"""Relative change of an area that counts as a jump [-]; where two pieces of a ramp meet, rounding makes smaller ones."""
+"""Relative change of an area that counts as a jump [-]; where pieces of a ramp meet, rounding makes smaller ones."""
 
 
 class Staircase(NamedTuple):
@@ -31,8 +30,8 @@ class Staircase(NamedTuple):
 def staircase(machine: Machine, n_steps: int) -> Staircase:
     """Return the machine's openings as `n_steps` steps, eq. (10) with erratum E9.
 
-    A valve position that lasts across the start of the turn is cut in two there. Where no more steps are asked for than the
-    valve has positions, it counts as one, so there is then a step more.
+    A valve position that lasts across the start of the turn is cut in two there. Where no more steps are asked for than
+    the valve has positions, it counts as one, so there is then a step more.
 
     Raises
     ------
@@ -54,8 +53,8 @@ def staircase(machine: Machine, n_steps: int) -> Staircase:
         n_steps = n_positions
     if n_steps < n_positions:
         raise ValueError(
-            f"n_steps: found {n_steps}, expected at least {n_positions}, the number of valve positions between jumps of "
-            "the openings"
+            f"n_steps: found {n_steps}, expected at least {n_positions}, the number of valve positions between jumps "
+            "of the openings"
         )
     fractions = _split(table, n_steps) if n_steps >= n_pieces else _merged(table, n_steps)
     return Staircase(read_only(fractions), read_only(_step_means(table, fractions)))
