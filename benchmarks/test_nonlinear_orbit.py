@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 import ltvpneu as lp
 from benchmarks.conftest import ratio
 from ltvpneu.models.dynamics import STUCK, external_force, state_rate
-from ltvpneu.models.integrator import mode_of
+from ltvpneu.models.events import mode_of
 from ltvpneu.models.linearize import areas_at
 
 FREQUENCY, N_PERIODS = 4.0, 5

@@ -81,8 +81,7 @@ def load_machine(source: str | Path) -> Machine:
     ------
     MachineFileError
         No such file or bundled machine; unreadable; an unknown, missing or impossible entry. The message names the
-        file,
-        the key, what was found and what was expected.
+        file, the key, what was found and what was expected.
 
     Examples
     --------

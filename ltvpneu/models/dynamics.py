@@ -97,8 +97,7 @@ def state_tangent(
         As for `state_rate`; dry friction, constant on either side of rest, has no part in the tangent.
     full : bool
         Whether to take all derivatives. If not, the paper's choice (8b): in the pressure rows, none over the
-        position, and
-        the others as at rest.
+        position, and the others as at rest.
     A : ndarray, shape (2 + n_c, 2 + n_c)
     B : ndarray, shape (2 + n_c, 3)
         Over supply pressure, exhaust pressure and external force.
@@ -149,8 +148,7 @@ def equilibrium_pressures(areas: FloatArray, machine: MachineArrays, start: Floa
     """Return the chambers' quasi-static pressures [Pa], eq. (16) with erratum E10, shape (n_c,).
 
     At rest no mass may gather in a chamber: the sum of its flows, which falls as its pressure rises, is zero. A
-    chamber with
-    every path shut keeps its pressure `start`.
+    chamber with every path shut keeps its pressure `start`.
     """
     pressures = start.copy()
     for k in range(pressures.size):

@@ -2,10 +2,8 @@ r"""Linearization of the machine's equations to G_m, B_m, f_m, eq. (8), and how 
 
 With source pressures and load force as inputs u, step m is z' = G_m z + B_m u + r_m, and f_m = B_m u + r_m. M_f is
 homogeneous of degree one in its two pressures, so alpha + beta pbar = (dM_f/dp_i) p_i: in isothermal chambers the
-paper's
-linearization needs no remainder, r_m = 0, and superposition holds in u. Errata E6, E7, E7b are proved in the tests
-against
-finite differences of the nonlinear right-hand side.
+paper's linearization needs no remainder, r_m = 0, and superposition holds in u. Errata E6, E7, E7b are proved in the
+tests against finite differences of the nonlinear right-hand side.
 """
 
 from dataclasses import dataclass
@@ -56,12 +54,10 @@ def linearize(
         Valve angle that sets the openings [rad]; just after it, where they jump. Default 0.
     areas : array_like, shape (2, n_paths), optional
         Effective areas of the first and second restriction of each connection [m^2], instead of an angle; infinite
-        where
-        there is no second.
+        where there is no second.
     tangent : {"paper", "full"}
         The paper's G (8b), whose pressure rows are those at rest and have no column for the position; or every
-        derivative.
-        Dry friction is neglected.
+        derivative. Dry friction is neglected.
 
     Returns
     -------

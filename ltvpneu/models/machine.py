@@ -1,8 +1,7 @@
 """A machine: gas, cylinder, load, flow paths and valve, as one checked value.
 
 Which volume feeds which chamber through what opening is data, so single- and double-acting cylinders, 2/2, 3/2 and
-5/2 valves,
-rotary valves and bleed orifices are the same code.
+5/2 valves, rotary valves and bleed orifices are the same code.
 """
 
 import math

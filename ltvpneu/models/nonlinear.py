@@ -1,35 +1,25 @@
 """The nonlinear model (3)-(7): transient simulation and periodic orbits.
 
 An orbit is what the machine settles on from its initial state, by default at rest at exhaust pressure. With stiction
-it may
-be one of a band of resting positions, or repeat only after several valve periods; both are found and reported.
+it may be one of a band of resting positions, or repeat only after several valve periods; both are found and
+reported.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import PPoly
 
 from ltvpneu._arrays import FloatArray, IntArray, finite_array, positive, read_only, whole
 from ltvpneu.errors import ChamberVolumeError, IntegrationError, NotSettledError
 from ltvpneu.models.dynamics import STUCK, chamber_volume, external_force
-from ltvpneu.models.integrator import (
-    OK,
-    STEP_TOO_SMALL,
-    VOLUME_GONE,
-    Record,
-    Run,
-    Schedule,
-    Settings,
-    integrate_period,
-    polynomial_extremes,
-    settle,
-)
+from ltvpneu.models.integrator import OK, STEP_TOO_SMALL, VOLUME_GONE, Record, integrate_period
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.polynomial import PolynomialTrajectory
+from ltvpneu.models.runge_kutta import Run, Schedule, Settings
+from ltvpneu.models.settle import settle
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.physics.friction import holding_force
@@ -82,40 +72,6 @@ LEAST_PRESSURE_TOLERANCE = 1e-7
 
 MAX_STEPS = 50_000_000
 """Steps that a period may take before the integration is given up."""
-
-
-@final
-@dataclass(frozen=True, eq=False, kw_only=True)
-class PolynomialTrajectory:
-    """One period of a solution as the integrator's interpolant: a polynomial on each of its intervals."""
-
-    starts: FloatArray
-    """Starts of the intervals [s], shape (n_intervals,)."""
-    spans: FloatArray
-    """Their lengths [s]."""
-    coefficients: FloatArray
-    """Ascending powers of the time since the start, shape (n_intervals, 5, n_states)."""
-
-    @cached_property
-    def _polynomial(self) -> PPoly:
-        # PPoly wants the highest power first and (power, interval, state).
-        edges = np.append(self.starts, self.starts[-1] + self.spans[-1])
-        return PPoly(np.moveaxis(self.coefficients[:, ::-1], 1, 0), edges, extrapolate=True)
-
-    def at(self, times: FloatArray) -> FloatArray:
-        """Return the states at times within the period [s], shape (n_states, n_times)."""
-        values: FloatArray = self._polynomial(times)
-        return values.T
-
-    def means(self) -> FloatArray:
-        """Return the time means, shape (n_states,)."""
-        powers = np.arange(1, 6)
-        integrals = self.spans[:, None] ** powers / powers
-        return np.einsum("ij,ijk->k", integrals, self.coefficients) / np.sum(self.spans)
-
-    def extremes(self, signal: int) -> tuple[float, float]:
-        """Return the least and the greatest value of a state: at interval ends or where the derivative vanishes."""
-        return polynomial_extremes(self.coefficients[:, :, signal].copy(), self.spans)
 
 
 def nonlinear_orbit(

@@ -1,10 +1,8 @@
 """Operating points of the linear models: quasi-static (16), time means (15), per step from the LTI cycle (17).
 
 Points taken from a cycle may leave the range in which a linearization means something: at low speed the LTI cycle's
-mean pressures
-go above the supply. They are held inside the range of the quasi-static pressures, and away from pressures where the
-slope of the
-flow is infinite; what was held back is reported.
+mean pressures go above the supply. They are held inside the range of the quasi-static pressures, and away from
+pressures where the slope of the flow is infinite; what was held back is reported.
 """
 
 from typing import NamedTuple
@@ -74,8 +72,7 @@ def held_inside(
     """Return the operating points (n_steps, n) kept inside their range, and a list of those that were moved.
 
     Position and pressures stay within the range of the quasi-static ones; pressures at least `least_distance`,
-    relative,
-    away from those of the sources that the chamber is open to.
+    relative, away from those of the sources that the chamber is open to.
     """
     low, high = turn.quasi_static.min(axis=0), turn.quasi_static.max(axis=0)
     # The velocity has no quasi-static range.

@@ -1,10 +1,8 @@
 """The staircase (10): any opening profile as a given number of steps, each with the step means of the areas.
 
 Steps end where the profile jumps, so at least as many are needed as the valve has positions (N_0). Further ones go
-to the longest
-piece of the profile, a ramp counting more than a plateau by its rise; with fewer steps than pieces, boundaries fall
-on piece
-ends and middles of ramps, so that the staircase is as near to the profile as it can be.
+to the longest piece of the profile, a ramp counting more than a plateau by its rise; with fewer steps than pieces,
+boundaries fall on piece ends and middles of ramps, so that the staircase is as near to the profile as it can be.
 """
 
 from typing import NamedTuple

@@ -6,8 +6,7 @@ The mean comes from the integral of the augmented exponential,
           = \begin{bmatrix} e^{M T} & \int_0^T e^{M t} dt \\ 0 & I \end{bmatrix}
 
 and extremes lie at step boundaries or at roots of a signal's derivative, which are bracketed on a grid fine enough
-for the
-step's fastest oscillation and decay, and then solved for.
+for the step's fastest oscillation and decay, and then solved for.
 """
 
 from collections.abc import Callable

@@ -129,8 +129,7 @@ def _eigenvalue_error(vectors: ComplexArray, multipliers: ComplexArray, backward
     """Bound the rounding error of the multipliers near the largest, from their condition numbers.
 
     A simple eigenvalue moves by its condition number times the backward error; near a defective one, where that
-    number has no
-    bound, by the n-th root of the backward error.
+    number has no bound, by the n-th root of the backward error.
     """
     defective = backward_error ** (1.0 / multipliers.size)
     try:

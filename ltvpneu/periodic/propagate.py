@@ -3,8 +3,7 @@ r"""Step maps z -> W_m z + g_m from the exponential of the augmented matrix.
 .. math:: \exp\left(\begin{bmatrix} A & f \\ 0 & 0 \end{bmatrix} T\right) = \begin{bmatrix} W & g \\ 0 & 1 \end{bmatrix}
 
 No inverse of A is needed, so a singular step (a shut chamber, erratum E8) is like any other. The states are balanced
-and
-the forcing scaled before exponentiating: in SI units the entries span nine decades.
+and the forcing scaled before exponentiating: in SI units the entries span nine decades.
 """
 
 import math
@@ -29,8 +28,7 @@ def exponentials(matrices: FloatArray) -> FloatArray:
     """Exponentials of a stack of small matrices, shape (..., k, k).
 
     Long stacks go on one BLAS thread: on tiny matrices more threads cost five to twenty times as much on a busy
-    machine.
-    For short ones asking for that would cost more than it saves.
+    machine. For short ones asking for that would cost more than it saves.
     """
     if matrices.shape[0] < 64:
         return np.asarray(expm(matrices), dtype=np.float64)

@@ -31,8 +31,7 @@ def response(
         Zero by default.
     points_per_period : int
         Least number of times per period; every step boundary is among them. Where an output jumps at a boundary, the
-        value
-        is the one just after it.
+        value is the one just after it.
 
     Returns
     -------

@@ -1,9 +1,8 @@
 r"""Periodic steady state (14), with a diagnosis where there is none or more than one.
 
 z(T) = Phi z(0) + g, so the periodic state solves (I - Phi) z = g. A Floquet multiplier at one makes that singular:
-then the
-part of g along its left eigenvector is a drift per period, and only if that vanishes is there an orbit, and a whole
-family of them.
+then the part of g along its left eigenvector is a drift per period, and only if that vanishes is there an orbit, and
+a whole family of them.
 """
 
 import numpy as np

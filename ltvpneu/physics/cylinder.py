@@ -1,9 +1,8 @@
 """Cylinder: what a chamber's volume and push are over the piston position.
 
-V_1 = V_01 + A_p1 x grows with the position, V_2 = V_02 - A_p2 x shrinks; the push is (7b) with erratum E4,
-F = (A_p1 - C_p) p_1 - (A_p2 + C_p) p_2, where C_p acts as a change of area. A side without a dead volume is not a
-chamber:
-it stands open to the return pressure.
+V_1 = V_01 + A_p1 x grows with the position, V_2 = V_02 - A_p2 x shrinks; the push is (7b) with erratum E4, F = (A_p1
+- C_p) p_1 - (A_p2 + C_p) p_2, where C_p acts as a change of area. A side without a dead volume is not a chamber: it
+stands open to the return pressure.
 """
 
 import math

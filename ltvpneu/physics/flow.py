@@ -10,8 +10,7 @@ r = p_k/p_i,
           \quad r \le r_c
 
 The slopes are (8k-n): with alpha the flow into chamber k and beta = -d(alpha)/dp_k, in the readings E7 and E7b. At
-equal
-pressures the unchoked slope is infinite; the functions return it so, and the caller decides.
+equal pressures the unchoked slope is infinite; the functions return it so, and the caller decides.
 
 M_f is homogeneous of degree one in (p_i, p_k), so by Euler's theorem dM_f/dp_i = (M_f - p_k dM_f/dp_k) / p_i.
 """

@@ -1,12 +1,10 @@
 """Dry friction and stiction, eq. (7c) with erratum E5: stiction holds in both directions.
 
 At rest the piston stays while the external force is at most F_s in size; it breaks away in the direction of that
-force. In
-motion the dry friction F_d opposes the velocity. Viscous friction C_v v is a matter of the load.
+force. In motion the dry friction F_d opposes the velocity. Viscous friction C_v v is a matter of the load.
 
 Should F_d exceed F_s, a piston that breaks away between the two would be stopped at once, so the force that holds it
-is the
-larger of the two (Filippov's reading of the sign function).
+is the larger of the two (Filippov's reading of the sign function).
 """
 
 from ltvpneu._compiled import compiled

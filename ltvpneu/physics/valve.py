@@ -1,9 +1,8 @@
 r"""Openings over the valve's cycle: piecewise-linear profiles, rotary valve kinematics (1)-(2), on-off valves.
 
 The angle theta = 2 pi Omega_p t of the valve runs once round per period. A `Profile` is any piecewise-linear
-function of
-it, jumps included. Port m of a rotary valve opens way i into inner volume k by the area a_mk(theta); all ports of a way
-add up,
+function of it, jumps included. Port m of a rotary valve opens way i into inner volume k by the area a_mk(theta); all
+ports of a way add up,
 
 .. math:: A_{ik}(\theta) = \sum_{m=L_i}^{M_i} a_{mk}(\theta) \qquad (1)
 
@@ -12,8 +11,7 @@ and where the inner volumes are collapsed to points, ways i and k are coupled th
 .. math:: \bar A_{ik}(\theta) = \sum_m \min\{A_{im}(\theta), A_{mk}(\theta)\} \qquad (2)
 
 With discharge coefficients the smaller C A counts. On-time is set by the offset angle theta_s between stator and
-housing:
-two half-circle windows overlap from max(0, theta_s) to pi + min(0, theta_s).
+housing: two half-circle windows overlap from max(0, theta_s) to pi + min(0, theta_s).
 """
 
 import math

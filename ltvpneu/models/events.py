@@ -1,0 +1,140 @@
+"""Events of the piston, compiled: it stops, breaks away, meets an end stop, or a chamber beside it comes to rest.
+
+All are looked for on the interpolant of a step, so that their instants are as accurate as the step.
+"""
+
+import math
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu._compiled import compiled, inlined
+from ltvpneu.models.dynamics import STUCK, external_force, source_range
+from ltvpneu.models.machine import MachineArrays
+from ltvpneu.models.runge_kutta import Run, Workspace
+from ltvpneu.physics.friction import holding_force, slip_direction
+
+
+@inlined
+def _value(coefficients: FloatArray, component: int, share: float) -> float:
+    """Interpolant of one state at a share of its step; coefficients (5, n_states) in powers of the share."""
+    value = coefficients[4, component]
+    for power in range(3, -1, -1):
+        value = value * share + coefficients[power, component]
+    return value
+
+
+@compiled
+def _holds(position: float, machine: MachineArrays) -> tuple[float, float]:
+    """Return the forces that a resting piston withstands towards lower and higher positions [N]."""
+    hold = holding_force(machine.load.dry_friction, machine.load.stiction)
+    down = math.inf if position <= machine.load.lower_stop else hold
+    up = math.inf if position >= machine.load.upper_stop else hold
+    return down, up
+
+
+@compiled
+def mode_of(state: FloatArray, machine: MachineArrays) -> int:
+    """Mode of the piston: the direction of its velocity; at rest, `STUCK` or the direction in which it breaks away."""
+    if state[1] > 0.0:
+        return 1
+    if state[1] < 0.0:
+        return -1
+    down, up = _holds(state[0], machine)
+    direction = slip_direction(external_force(state, machine), down, up)
+    return STUCK if direction == 0 else direction
+
+
+@inlined
+def _margin(
+    share: float, kind: int, mode: int, coefficients: FloatArray, machine: MachineArrays, state: FloatArray
+) -> float:
+    """Return what an event waits for to fall below zero.
+
+    Kinds: 0 velocity reverses, 1 lower, 2 upper stop, 3 break-away.
+    """
+    if kind == 0:
+        return mode * _value(coefficients, 1, share)
+    if kind == 1:
+        return _value(coefficients, 0, share) - machine.load.lower_stop
+    if kind == 2:
+        return machine.load.upper_stop - _value(coefficients, 0, share)
+    state[0] = coefficients[0, 0]
+    for k in range(2, state.size):
+        state[k] = _value(coefficients, k, share)
+    force = external_force(state, machine)
+    down, up = _holds(state[0], machine)
+    return min(up - force, force + down)
+
+
+@compiled
+def _event_share(kind: int, mode: int, coefficients: FloatArray, machine: MachineArrays, work: FloatArray) -> float:
+    """Return the share of the step at which an event of a kind happens, 2.0 if it does not.
+
+    Also looked for at the middle of the step, so that a short excursion is not passed over.
+    """
+    high = 2.0
+    if _margin(0.5, kind, mode, coefficients, machine, work) < 0.0:
+        high = 0.5
+    elif _margin(1.0, kind, mode, coefficients, machine, work) < 0.0:
+        high = 1.0
+    if high <= 1.0:
+        low = 0.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            if _margin(middle, kind, mode, coefficients, machine, work) < 0.0:
+                high = middle
+            else:
+                low = middle
+    # The far side of the bracket: the event has happened there, so it does not happen again.
+    return high
+
+
+@inlined
+def first_event(mode: int, coefficients: FloatArray, machine: MachineArrays, work: FloatArray) -> tuple[float, int]:
+    """Return the share of the step at which the first event happens, and its kind; 2.0 and -1 where none does."""
+    first, found = 2.0, -1
+    if mode == STUCK:
+        first, found = _event_share(3, mode, coefficients, machine, work), 3
+    else:
+        # Looked at here, without a call: in slip this is asked at every step.
+        slowed = mode * _value(coefficients, 1, 0.5) < 0.0 or mode * _value(coefficients, 1, 1.0) < 0.0
+        if slowed and holding_force(machine.load.dry_friction, machine.load.stiction) > 0.0:
+            first, found = _event_share(0, mode, coefficients, machine, work), 0
+        if machine.load.lower_stop > -math.inf:
+            share = _event_share(1, mode, coefficients, machine, work)
+            if share < first:
+                first, found = share, 1
+        if machine.load.upper_stop < math.inf:
+            share = _event_share(2, mode, coefficients, machine, work)
+            if share < first:
+                first, found = share, 2
+    return first, found if first <= 1.0 else -1
+
+
+@compiled
+def land(kind: int, share: float, run: Run, space: Workspace) -> None:
+    """Bring the piston to rest at an event: at the stop that it met, without rebound, or where its velocity is zero."""
+    for i in range(space.state.size):
+        space.state[i] = _value(space.coefficients, i, share)
+    space.state[1] = 0.0
+    if kind == 1:
+        space.state[0] = run.machine.load.lower_stop
+    elif kind == 2:
+        space.state[0] = run.machine.load.upper_stop
+
+
+@compiled
+def rest_at_source(run: Run, space: Workspace) -> None:
+    """Let a chamber of a resting piston come to rest at the pressure of the one source it is open to.
+
+    The flow is like the root of the pressure difference d, so d reaches zero in the finite time 2 d / |d'| and stays.
+    Left alone, an explicit method would go on in tiny steps beside that pressure, where the slope is infinite.
+    """
+    state, before = space.state, space.coefficients[0]
+    for k in range(run.machine.chambers.shape[0]):
+        low, high = source_range(k, space.areas, run.machine)
+        if low == high:
+            difference = before[2 + k] - low
+            # The interpolant's first power is the rate at the start of the step, times its length.
+            change = space.coefficients[1, 2 + k]
+            if difference * (state[2 + k] - low) <= 0.0 or abs(change) >= 2.0 * abs(difference):
+                state[2 + k] = low
