@@ -33,7 +33,7 @@ def finite_array(
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: expected numbers in a regular array, found {values!r} ({error})") from None
-    if shape is not None:
+    if shape is not None and array.shape != tuple(shape):
         wrong = array.ndim != len(shape) or any(
             want is not None and have != want for have, want in zip(array.shape, shape, strict=False)
         )

@@ -178,7 +178,7 @@ class LtvModel:
         Relative to the supply pressure. Zero would mean that the model is linearized about its own cycle.
         """
         cycle = ExponentialTrajectory(system=self.system, step_states=periodic_states(self.system)[:-1])
-        differences = cycle.step_means()[:, 2:] - self.operating_points[:, 2:]
+        differences = cycle.step_state_means()[:, 2:] - self.operating_points[:, 2:]
         return float(np.max(np.abs(differences))) / self.machine.supply_pressure
 
 
@@ -187,7 +187,8 @@ def assemble(
 ) -> PeriodicSystem:
     """Return the steps as a `PeriodicSystem` whose inputs are the source pressures and the load force."""
     N, n = linearization.r.shape
-    outputs = np.broadcast_to(np.eye(n), (N, n, n))
+    outputs = np.zeros((N, n, n))
+    outputs[:, range(n), range(n)] = 1.0
     return PeriodicSystem(
         durations=np.diff(stairs.fractions) / frequency,
         A=linearization.A,

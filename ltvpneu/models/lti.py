@@ -62,7 +62,8 @@ def lti_model_of_turn(
     positive("frequency", frequency, "Hz")
     not_negative("least_distance", least_distance)
     stairs = turn.stairs
-    asked = np.broadcast_to(turn.mean, turn.quasi_static.shape)
+    asked = np.empty_like(turn.quasi_static)
+    asked[:] = turn.mean
     points, held_back = held_inside(machine, turn, asked, least_distance)
     each = linearize_steps(machine, points, stairs.areas, "paper")
     weights = np.diff(stairs.fractions)
@@ -71,7 +72,8 @@ def lti_model_of_turn(
     r = each.r
     if about_operating_point:
         r = r + ((each.A - average) @ points[:, :, None])[:, :, 0]
-    A = np.broadcast_to(average, each.A.shape)
+    A = np.empty_like(each.A)
+    A[:] = average
     averaged = Linearization(A=A, B=each.B, r=r, f=each.B @ machine.levels + r)
     return LtvModel(
         system=assemble(machine, frequency, stairs, averaged, f"{machine.identifier}_lti"),

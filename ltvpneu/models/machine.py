@@ -102,6 +102,10 @@ class MachineArrays(NamedTuple):
     """Chamber that each path leads to, shape (n_paths,)."""
 
 
+LEAST_JUMP = 1e-9
+"""Relative change of an area that counts as a jump [-]; where pieces of a ramp meet, rounding makes smaller ones."""
+
+
 class OpeningTable(NamedTuple):
     """Effective areas over the turn, linear between switching instants, as the compiled kernels read them."""
 
@@ -109,8 +113,15 @@ class OpeningTable(NamedTuple):
     """Piece ends as shares of the period, from 0 to 1, shape (n_pieces + 1,)."""
     areas: FloatArray
     """First area at start and end, second at start and end [m^2], per piece and path; (n_pieces, 4, n_paths)."""
-    ramped: BoolArray
-    """Whether any area changes within the piece, shape (n_pieces,)."""
+    rises: FloatArray
+    """Largest change of any area over each piece, relative to that area's maximum [-], shape (n_pieces,)."""
+    jumps: FloatArray
+    """Shares of the period at which any area jumps; 0 if one does from the end of the turn to its start."""
+
+    @property
+    def ramped(self) -> BoolArray:
+        """Whether any area changes within the piece, shape (n_pieces,)."""
+        return self.rises > 0
 
 
 @final
@@ -270,8 +281,19 @@ class Machine:
                     cut = profile.refined(angles)
                     areas[:, row, number] = cut.starts
                     areas[:, row + 1, number] = cut.ends
-        ramped = (areas[:, (0, 2)] != areas[:, (1, 3)]).any(axis=(1, 2))
-        return OpeningTable(read_only(angles / angles[-1]), read_only(areas), ramped)
+        fractions = angles / angles[-1]
+        at_start, at_end = areas[:, (0, 2)], areas[:, (1, 3)]
+        # An absent second restriction is infinite throughout, a path never open zero throughout: neither changes.
+        with np.errstate(invalid="ignore"):
+            largest = np.max(areas, axis=0)[(0, 2),]
+            rises = np.nan_to_num(np.abs(at_end - at_start) / largest)
+            jumps = np.nan_to_num(np.abs(at_start - np.roll(at_end, 1, axis=0)) / largest) > LEAST_JUMP
+        return OpeningTable(
+            read_only(fractions),
+            read_only(areas),
+            read_only(np.max(rises, axis=(1, 2))),
+            read_only(fractions[:-1][jumps.any(axis=(1, 2))]),
+        )
 
     @cached_property
     def arrays(self) -> MachineArrays:

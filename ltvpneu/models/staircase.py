@@ -12,9 +12,6 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, read_only, whole
 from ltvpneu.models.machine import Machine, OpeningTable
 
-LEAST_JUMP = 1e-9
-"""Relative change of an area that counts as a jump [-]; where pieces of a ramp meet, rounding makes smaller ones."""
-
 
 class Staircase(NamedTuple):
     """Steps of constant areas over one turn."""
@@ -46,8 +43,8 @@ def staircase(machine: Machine, n_steps: int) -> Staircase:
     n_steps = whole("n_steps", n_steps)
     table = machine.openings
     n_pieces = table.fractions.size - 1
-    n_positions = _jumps(table).size + 1
-    if n_steps == n_positions - 1 and not _jumps_at_start(table):
+    n_positions = int(np.count_nonzero(table.jumps)) + 1
+    if n_steps == n_positions - 1 and not (table.jumps == 0).any():
         n_steps = n_positions
     if n_steps < n_positions:
         raise ValueError(
@@ -61,20 +58,9 @@ def staircase(machine: Machine, n_steps: int) -> Staircase:
 def fine_staircase(machine: Machine, steps_per_ramp: int = 32) -> Staircase:
     """Return a staircase with one step for each plateau and many for each ramp, for time means over the turn."""
     table = machine.openings
-    counts = np.where(_rises(table) > 0, steps_per_ramp, 1)
+    counts = np.where(table.rises > 0, steps_per_ramp, 1)
     fractions = _subdivided(table, counts)
     return Staircase(read_only(fractions), read_only(_step_means(table, fractions)))
-
-
-def _rises(table: OpeningTable) -> FloatArray:
-    """Largest change of any area over each piece, relative to that area's maximum, shape (n_pieces,)."""
-    at_start, at_end = table.areas[:, (0, 2)], table.areas[:, (1, 3)]
-    if np.array_equal(at_start, at_end):
-        return np.zeros(at_start.shape[0])
-    # An absent second restriction is infinite throughout, a path never open zero throughout: neither changes.
-    with np.errstate(invalid="ignore"):
-        changes = np.abs(at_end - at_start) / np.max(table.areas, axis=0)[(0, 2),]
-    return np.max(np.nan_to_num(changes), axis=(1, 2))
 
 
 def _subdivided(table: OpeningTable, counts: FloatArray) -> FloatArray:
@@ -90,7 +76,7 @@ def _subdivided(table: OpeningTable, counts: FloatArray) -> FloatArray:
 def _split(table: OpeningTable, n_steps: int) -> FloatArray:
     if n_steps == table.fractions.size - 1:
         return table.fractions
-    sizes = np.diff(table.fractions) * (1 + _rises(table))
+    sizes = np.diff(table.fractions) * (1 + table.rises)
     counts = np.ones(sizes.size)
     for _ in range(n_steps - sizes.size):
         counts[np.argmax(sizes / counts)] += 1
@@ -102,9 +88,9 @@ def _merged(table: OpeningTable, n_steps: int) -> FloatArray:
 
     Nearest in the mean square of all areas, each relative to its maximum; found by dynamic programming.
     """
-    counts = np.where(_rises(table) > 0, 2, 1)
+    counts = np.where(table.rises > 0, 2, 1)
     candidates = _subdivided(table, counts)
-    cost = _step_costs(table, candidates, _jumps(table))
+    cost = _step_costs(table, candidates)
     last = candidates.size - 1
     best, chosen = cost[0], []
     for _ in range(n_steps - 1):
@@ -117,23 +103,7 @@ def _merged(table: OpeningTable, n_steps: int) -> FloatArray:
     return candidates[[0, *reversed(boundaries)]]
 
 
-def _jumps(table: OpeningTable) -> FloatArray:
-    ends, starts = table.areas[:-1, (1, 3)], table.areas[1:, (0, 2)]
-    with np.errstate(invalid="ignore"):
-        changes = np.abs(starts - ends) / np.max(table.areas, axis=0)[(0, 2),]
-    jumps = np.any(np.nan_to_num(changes) > LEAST_JUMP, axis=(1, 2))
-    return table.fractions[1:-1][jumps]
-
-
-def _jumps_at_start(table: OpeningTable) -> bool:
-    """Whether any opening jumps from the end of the turn to its start."""
-    ends, starts = table.areas[-1, (1, 3)], table.areas[0, (0, 2)]
-    with np.errstate(invalid="ignore"):
-        changes = np.abs(starts - ends) / np.max(table.areas, axis=0)[(0, 2),]
-    return bool(np.any(np.nan_to_num(changes) > LEAST_JUMP))
-
-
-def _step_costs(table: OpeningTable, candidates: FloatArray, jumps: FloatArray) -> FloatArray:
+def _step_costs(table: OpeningTable, candidates: FloatArray) -> FloatArray:
     """Squared error of one step from candidate i to j, (K, K); infinite if j is not after i or a jump lies between."""
     widths = np.diff(candidates)
     means = _step_means(table, candidates)
@@ -143,6 +113,7 @@ def _step_costs(table: OpeningTable, candidates: FloatArray, jumps: FloatArray) 
     first = np.cumsum(np.concatenate([np.zeros((1, *means.shape[1:])), widths[:, None, None] * means]), axis=0)
     second = np.cumsum(np.concatenate([np.zeros((1, *means.shape[1:])), widths[:, None, None] * means**2]), axis=0)
     spans = candidates[None, :] - candidates[:, None]
+    jumps = table.jumps[table.jumps > 0]
     allowed = (spans > 0) & (
         np.searchsorted(jumps, candidates)[None, :] <= np.searchsorted(jumps, candidates, side="right")[:, None]
     )

@@ -58,14 +58,23 @@ class ExponentialTrajectory:
 
     def step_means(self) -> FloatArray:
         """Return the mean of every signal over every step, shape (n_steps, n_signals); (17) with erratum E10."""
-        integrals = step_integrals(self.system.scaled.matrices, self.system.durations)
-        sums = (self._rows @ (integrals @ self._starts[:, :, None]))[:, :, 0]
-        durations = self.system.durations[:, None]
-        if self.system.durations.all():
-            return sums / durations
+        return (self._rows @ self._mean_states[:, :, None])[:, :, 0]
+
+    def step_state_means(self) -> FloatArray:
+        """Return the mean of every state over every step, shape (n_steps, n)."""
+        return self.system.scaled.physical(self._mean_states)
+
+    @cached_property
+    def _mean_states(self) -> FloatArray:
+        """Means over the steps of the balanced augmented state, shape (n_steps, n + 1)."""
+        durations = self.system.durations
+        integrals = step_integrals(self.system.scaled.matrices, durations)
+        sums = (integrals @ self._starts[:, :, None])[:, :, 0]
+        if durations.all():
+            return sums / durations[:, None]
         # A step of no duration has its start for a mean.
-        at_start = (self._rows @ self._starts[:, :, None])[:, :, 0]
-        return np.where(durations > 0, sums / np.where(durations > 0, durations, 1.0), at_start)
+        long = durations[:, None] > 0
+        return np.where(long, sums / np.where(long, durations[:, None], 1.0), self._starts)
 
     @cached_property
     def _means(self) -> FloatArray:

@@ -116,8 +116,10 @@ def step_maps(steps: ScaledSteps, durations: FloatArray) -> StepMaps:
 
 def states_from(maps: StepMaps, initial_state: FloatArray) -> FloatArray:
     """Return the states at the start of every step and at the end of the last, (13), shape (n_steps + 1, n)."""
-    found = np.empty((maps.maps.shape[0] + 1, maps.maps.shape[1]))
-    found[0] = maps.steps.augmented(initial_state)
-    for m, step in enumerate(maps.maps):
-        found[m + 1] = step @ found[m]
-    return maps.steps.physical(found)
+    steps = maps.steps
+    state = np.append(initial_state / steps.scales, steps.unit)
+    found = [state]
+    for step in maps.maps:
+        state = step @ state
+        found.append(state)
+    return steps.physical(np.array(found))

@@ -64,8 +64,7 @@ def periodic_states(system: PeriodicSystem, singular_below: float = 1e-12) -> Fl
     null = values <= singular_below * max(1.0, values[0])
     if null.any():
         _raise_singular(system, maps, (left, values, right, null), forcing)
-    scaled = right.T @ ((left.T @ forcing) / values)
-    return states_from(maps, maps.steps.scales * scaled)
+    return states_from(maps, maps.steps.scales * (right.T @ ((left.T @ forcing) / values)))
 
 
 def _orbit(system: PeriodicSystem, reached: FloatArray) -> Orbit:
