@@ -29,7 +29,7 @@ benchmarks: $(VENV)/.test
 	$(BIN)/python -m pytest benchmarks --benchmark-only -s
 
 lab: $(VENV)/.package
-	$(BIN)/python -m pip install --quiet '.[notebooks]'
+	$(BIN)/python -m pip install --quiet --editable '.[notebooks]'
 	$(BIN)/jupyter lab notebooks
 
 check: lint types imports test

@@ -8,6 +8,7 @@ from ltvpneu.errors import (
     NonUniqueOrbitError,
     NoOrbitError,
     NotSettledError,
+    StepOverflowError,
 )
 from ltvpneu.face.machine_file import load_machine
 from ltvpneu.face.plots import plot
@@ -55,6 +56,7 @@ __all__ = [
     "RotaryValve",
     "RungeKutta4",
     "Step",
+    "StepOverflowError",
     "Window",
     "amplitude_response",
     "floquet",

@@ -30,7 +30,11 @@ def finite_array(
         Ragged, of another shape, or with an entry that is not finite.
     """
     try:
-        array = np.array(values, dtype=np.float64)
+        # Without a wanted type first, so that complex numbers are seen and not cut to their real parts.
+        found = np.array(values)
+        if found.dtype.kind == "c":
+            raise ValueError("complex")
+        array = found.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: expected numbers in a regular array, found {values!r} ({error})") from None
     if shape is not None and array.shape != tuple(shape):
@@ -58,7 +62,7 @@ def finite(name: str, value: float, unit: str = "") -> float:
     """Return the value as a float if it is a finite number."""
     number = _number(name, value)
     if not math.isfinite(number):
-        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number{_of(unit)}")
+        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number")
     return number
 
 
@@ -66,7 +70,7 @@ def positive(name: str, value: float, unit: str = "") -> float:
     """Return the value as a float if it is finite and above zero."""
     number = _number(name, value)
     if not (math.isfinite(number) and number > 0):
-        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number above zero{_of(unit)}")
+        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number above zero")
     return number
 
 
@@ -74,7 +78,7 @@ def not_negative(name: str, value: float, unit: str = "") -> float:
     """Return the value as a float if it is finite and not below zero."""
     number = _number(name, value)
     if not (math.isfinite(number) and number >= 0):
-        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number, zero or more{_of(unit)}")
+        raise ValueError(f"{name}: found {number:g}{_of(unit)}, expected a finite number, zero or more")
     return number
 
 

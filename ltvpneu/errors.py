@@ -46,6 +46,10 @@ class NonUniqueOrbitError(LtvpneuError):
         self.free_directions = free_directions
 
 
+class StepOverflowError(LtvpneuError):
+    """A step of a periodic system grows by more than double precision holds."""
+
+
 class NotSettledError(LtvpneuError):
     """A nonlinear simulation did not settle on a periodic orbit.
 

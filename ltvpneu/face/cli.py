@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 
 from tqdm import tqdm
@@ -26,14 +27,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return options.run(options)
     except (LtvpneuError, ValueError, TypeError, OSError) as error:
-        print(f"ltvpneu {options.command}: error: {error}", file=sys.stderr)
+        print(f"ltvpneu {options.command}: error: {_located(str(error), options.machine)}", file=sys.stderr)
         return BAD_INPUT
+
+
+def _located(message: str, machine: str) -> str:
+    """Put the machine file's name before a complaint of one of its keys that was found out only by a model."""
+    tables = ("load.", "cylinder.", "valve.", "gas.", "flow_paths", "supply_pressure", "exhaust_pressure")
+    name = Path(machine).name if machine.endswith(".toml") else f"{machine}.toml"
+    return f"{name}: {message}" if message.startswith(tables) else message
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="ltvpneu", description="Control design for pneumatic actuators switched by on-off valves."
     )
+    parser.add_argument("--version", action="version", version=f"ltvpneu {version('ltvpneu')}")
     commands = parser.add_subparsers(dest="command", required=True)
     machine_help = f"a TOML file, or a bundled machine: {', '.join(bundled_machines())}"
 
@@ -90,6 +99,10 @@ def _study(options: argparse.Namespace) -> int:
     if options.points < 1:
         raise ValueError(f"--points: found {options.points}, expected 1 or more")
     grid = frequency_grid(options.frequency, options.points)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out: found {str(options.out)!r}, expected a folder that can be made ({error})") from None
     total = n_parts(machine, options.frequency, grid)
     # The first part of the first run takes longest: it compiles the laws.
     with tqdm(total=total, desc="study", unit="part", leave=False) as bar:
@@ -114,7 +127,6 @@ def write_study(study: Study, folder: Path) -> list[Path]:
     # A lazy door: matplotlib takes longer to load than the study to run.
     from ltvpneu.face import pictures
 
-    folder.mkdir(parents=True, exist_ok=True)
     machine = study.machine
     models = [case.models["ltv"] for case in study.cases if "ltv" in case.models]
     figures = {"valve_areas": pictures.draw(models[0] if models else machine)}
@@ -124,7 +136,8 @@ def write_study(study: Study, folder: Path) -> list[Path]:
             title = f"{machine.name}: cycle at {case.frequency:g} Hz, duty {machine.duty:.3g}"
             orbits = {LABELS[name]: orbit for name, orbit in case.orbits.items()}
             figures[f"cycle_{label}"] = pictures.draw_cycles(orbits, title)
-    figures["amplitude"] = pictures.draw(study.response)
+    free = study.frictionless_amplitudes if study.frictionless else None
+    figures["amplitude"] = pictures.draw_amplitudes(study.response, free)
     found = {f"{case.frequency:g} Hz": case.floquets["ltv"] for case in study.cases if "ltv" in case.floquets}
     if found:
         figures["multipliers"] = pictures.draw(found)
@@ -145,8 +158,8 @@ def _stability(options: argparse.Namespace) -> int:
         model = ltv_model(machine, frequency, n_steps=options.n_steps, operating_points=options.operating_points)
         found = floquet(model.system)
         all_stable = all_stable and found.is_stable
-        figures = [f"{found.spectral_radius:.9f}", f"{found.margin:.1e}", found.verdict]
+        figures = [f"{found.spectral_radius:.6g}", f"{found.margin:.1e}", found.verdict]
         rows.append([f"{frequency:g}", f"{machine.duty:.4g}", multipliers_text(found), *figures])
     print(f"{machine.name}: LTV model, {options.n_steps} steps, operating points {options.operating_points!r}\n")
-    print(table(["frequency [Hz]", "duty", "multipliers", "radius", "margin", "verdict"], rows))
+    print(table(["frequency [Hz]", "duty", "multipliers", "radius", "computed to", "verdict"], rows))
     return STABLE if all_stable else NOT_STABLE

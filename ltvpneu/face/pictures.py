@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from ltvpneu._arrays import FloatArray
 from ltvpneu.models.amplitude import AmplitudeResponse
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
@@ -60,7 +61,7 @@ def draw(result: object) -> Figure:
     if isinstance(result, Floquet):
         return draw_multipliers({"": result})
     if isinstance(result, Orbit):
-        return draw_cycles({result.name: result}, title=result.name)
+        return draw_cycles({result.name: result}, title=_orbit_title(result))
     if isinstance(result, AmplitudeResponse):
         return draw_amplitudes(result)
     if isinstance(result, Mapping) and result:
@@ -71,7 +72,7 @@ def draw(result: object) -> Figure:
 def _draw_mapping(result: Mapping[str, object]) -> Figure:
     orbits = {str(label): value for label, value in result.items() if isinstance(value, Orbit)}
     if len(orbits) == len(result):
-        return draw_cycles(orbits)
+        return draw_cycles(orbits, title=f"{1 / next(iter(orbits.values())).system_period:.4g} Hz")
     multipliers = {str(label): value for label, value in result.items() if isinstance(value, Floquet)}
     if len(multipliers) == len(result):
         return draw_multipliers(multipliers)
@@ -92,6 +93,11 @@ def _draw_by_itself(result: object) -> Figure:
     # python-control draws over the current figure.
     plt.figure()
     return method().figure
+
+
+def _orbit_title(orbit: Orbit) -> str:
+    repeats = f", repeats every {orbit.n_periods} valve periods" if orbit.n_periods > 1 else ""
+    return f"{orbit.name}: {1 / orbit.system_period:.4g} Hz{repeats}"
 
 
 def _stairs_of(model: LtvModel) -> Staircase:
@@ -146,14 +152,14 @@ def draw_cycles(orbits: Mapping[str, Orbit], title: str = "") -> Figure:
             style = STYLES.get(label.lower(), {"color": PALETTE[number % len(PALETTE)]})
             ax.plot(1e3 * times, unit.factor * values[orbit.signals.index(signal)], label=label, **style)
     for ax, signal in zip(axes, signals, strict=True):
-        symbol = unit_of(signal).symbol
+        symbol = unit_of(signal).symbol.replace("bar", "bar abs")
         ax.set_ylabel(signal.replace("_", " ") + (f" [{symbol}]" if symbol else ""))
         ax.grid(alpha=0.3)
     for time in first.step_times[1:-1] if first.n_simulated == 0 else ():
         for ax in axes:
             ax.axvline(1e3 * time, color="0.7", linewidth=0.8, zorder=0)
     if len(orbits) > 1:
-        axes[0].legend(fontsize=8, loc="upper right")
+        axes[0].legend(fontsize=8, loc="best")
     axes[-1].set_xlabel("time [ms]")
     axes[-1].set_xlim(0, 1e3 * span)
     if title:
@@ -161,8 +167,11 @@ def draw_cycles(orbits: Mapping[str, Orbit], title: str = "") -> Figure:
     return figure
 
 
-def draw_amplitudes(found: AmplitudeResponse) -> Figure:
-    """Amplitude over frequency of all models (Fig. 9); orbits that are not unique or subharmonic are marked."""
+def draw_amplitudes(found: AmplitudeResponse, frictionless: FloatArray | None = None) -> Figure:
+    """Amplitude over frequency of all models (Fig. 9); orbits that are not unique or subharmonic are marked.
+
+    `frictionless` holds amplitudes of the nonlinear model without dry friction [m], like to set against like.
+    """
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     ax = figure.subplots()
     unit = unit_of("position")
@@ -176,15 +185,20 @@ def draw_amplitudes(found: AmplitudeResponse) -> Figure:
                     found.frequencies[where], values[where], marker, color=PALETTE[2], markersize=6,
                     markerfacecolor="none", label=f"{LABELS[model]}: {label}",
                 )  # fmt: skip
+    if frictionless is not None:
+        label = "nonlinear, no dry friction"
+        ax.plot(found.frequencies, unit.factor * frictionless, label=label, color="0.55", linewidth=1.4)
     ax.set_xlabel("valve frequency [Hz]")
     ax.set_ylabel(f"amplitude of position [{unit.symbol}]")
     if found.frequencies.size > 2 and found.frequencies[-1] / found.frequencies[0] > 20:
         ax.set_xscale("log")
+        ax.xaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.xaxis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
+        ax.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
     ax.set_ylim(bottom=0)
     ax.grid(alpha=0.3, which="both")
     ax.legend(fontsize=8)
-    ax.set_title(f"{found.machine.name}: amplitude (18), duty {found.machine.duty:.3g}", fontsize=11)
+    ax.set_title(f"{found.machine.name}: amplitude over frequency, duty {found.machine.duty:.3g}", fontsize=11)
     return figure
 
 

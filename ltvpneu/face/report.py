@@ -95,7 +95,8 @@ def operating_text(study: Study) -> str:
     rows: list[list[str]] = []
     for case in study.cases:
         for name, model in case.models.items():
-            for step, point in enumerate(model.operating_points):
+            # The LTI model has one point; it stands in the first row.
+            for step, point in enumerate(model.operating_points[: 1 if name == "lti" else None]):
                 held = any(h.step == step for h in model.held_back)
                 pressures = [f"{p / 1e5:.4f}" for p in point[2:]]
                 duration = f"{1e3 * model.system.durations[step]:.4g}"
@@ -103,7 +104,7 @@ def operating_text(study: Study) -> str:
                 label = f"{case.frequency:g} Hz {LABELS[name]}"
                 rows.append([label, str(step + 1), duration, position, *pressures, "yes" if held else ""])
     if not rows:
-        return "  none: " + "; ".join(case.failures.get("ltv", "") for case in study.cases)
+        return "\n".join(["  none", *failure_lines(study.cases)])
     names = [f"{name.replace('_', ' ')} [bar]" for name in machine.states[2:]]
     text = [table(["model", "step", "duration [ms]", "position [mm]", *names, "held back"], rows)]
     text += _held_back_text(study)
@@ -127,7 +128,7 @@ def _held_back_text(study: Study) -> list[str]:
         for name, model in case.models.items():
             lines += [
                 f"  held back: {case.frequency:g} Hz {LABELS[name]} step {held.step + 1} {held.state}: "
-                f"asked {held.asked:.6g}, used {held.used:.6g}"
+                f"asked {shown(held.state, held.asked)}, used {shown(held.state, held.used)}"
                 for held in model.held_back
             ]
     if lines:
@@ -136,6 +137,12 @@ def _held_back_text(study: Study) -> list[str]:
             f"  (kept in the quasi-static range and {100 * distance:g} % away from the pressures of open sources)"
         )
     return lines
+
+
+def shown(signal: str, value: float) -> str:
+    """Return a value in the unit in which its signal is shown."""
+    factor, symbol = {"position": (1e3, "mm"), "velocity": (1.0, "m/s")}.get(signal, (1e-5, "bar"))
+    return f"{factor * value:.5g} {symbol}"
 
 
 def _matrix_text(name: str, matrix: FloatArray) -> str:
@@ -159,12 +166,17 @@ def stability_table(cases: Sequence[Case]) -> str:
         for case in cases
         for name, found in case.floquets.items()
     ]
-    rows += [
-        [f"{case.frequency:g} Hz {LABELS[n]}", f"failed: {why}", "", ""]
-        for case in cases
-        for n, why in case.failures.items()
-    ]
-    return table(["model", "multipliers", "radius", "verdict"], rows)
+    text = table(["model", "multipliers", "radius", "verdict"], rows) if rows else "  no model to ask"
+    return "\n".join([text, *failure_lines(cases)])
+
+
+def failure_lines(cases: Sequence[Case]) -> list[str]:
+    """Return each reason for a failure once, with where it struck."""
+    where: dict[str, list[str]] = {}
+    for case in cases:
+        for name, why in case.failures.items():
+            where.setdefault(why, []).append(f"{case.frequency:g} Hz {LABELS[name]}")
+    return [f"  failed: {', '.join(places)}: {why}" for why, places in where.items()]
 
 
 def multipliers_text(found: Floquet) -> str:
@@ -185,13 +197,14 @@ def cycle_table(cases: Sequence[Case]) -> str:
     for case in cases:
         reference = case.orbits.get("nonlinear")
         for name, orbit in case.orbits.items():
-            rows.append([f"{case.frequency:g} Hz {LABELS[name]}", *_cycle_cells(orbit, reference, pressures)])
+            cells = _cycle_cells(orbit, reference, pressures)
+            rows.append([f"{case.frequency:g} Hz {LABELS[name]}", *cells, ", ".join(remarks(orbit, case.machine))])
         rows += [
-            [f"{case.frequency:g} Hz {LABELS[name]}", *[""] * (4 + len(pressures)), why]
-            for name, why in case.failures.items()
+            [f"{case.frequency:g} Hz {LABELS[name]}", "failed", *[""] * (4 + len(pressures))] for name in case.failures
         ]
-    names = [f"{name.replace('_', ' ')} [bar]" for name in pressures]
-    return table(["model", "amplitude [mm]", "error", "mean [mm]", "error [mm]", *names, "remark"], rows)
+    names = [f"{name.replace('_', ' ')} [bar abs]" for name in pressures]
+    text = table(["model", "amplitude [mm]", "error", "mean [mm]", "error [mm]", *names, "remark"], rows)
+    return "\n".join([text, *failure_lines(cases)])
 
 
 def _cycle_cells(orbit: Orbit, reference: Orbit | None, pressures: Sequence[str]) -> list[str]:
@@ -203,17 +216,31 @@ def _cycle_cells(orbit: Orbit, reference: Orbit | None, pressures: Sequence[str]
         error = f"{100 * (amplitude / of_reference - 1):+.1f} %" if of_reference > 1e-7 else ""
         shift = f"{1e3 * (mean - reference.mean('position')):+.2f}"
     ranges = [f"{orbit.minimum(p) / 1e5:.3f} to {orbit.maximum(p) / 1e5:.3f}" for p in pressures]
-    return [f"{1e3 * amplitude:.3f}", error, f"{1e3 * mean:.2f}", shift, *ranges, remark(orbit)]
+    return [f"{1e3 * amplitude:.3f}", error, f"{1e3 * mean:.2f}", shift, *ranges]
 
 
-def remark(orbit: Orbit) -> str:
-    """Return what is special about an orbit."""
+def remarks(orbit: Orbit, machine: Machine) -> list[str]:
+    """Return what is special about an orbit, and where a linear one leaves what the machine can do."""
     found: list[str] = []
     if not orbit.is_unique:
         found.append("one of a stiction band")
     if orbit.n_periods > 1:
         found.append(f"repeats every {orbit.n_periods} periods")
-    return ", ".join(found)
+    low, high = orbit.minimum("position"), orbit.maximum("position")
+    lower, upper = machine.cylinder.lower_stop, machine.cylinder.upper_stop
+    tolerance = 1e-9 + 1e-6 * (high - low)
+    if low < lower - tolerance or high > upper + tolerance:
+        found.append("passes the end stops")
+    elif low <= lower + tolerance or high >= upper - tolerance:
+        found.append("rests on an end stop")
+    for name in machine.states[2:]:
+        if orbit.minimum(name) <= 0:
+            found.append(f"{name.replace('_', ' ')} below vacuum")
+        elif orbit.minimum(name) < 0.98 * machine.exhaust_pressure:
+            found.append(f"{name.replace('_', ' ')} below exhaust")
+        if orbit.maximum(name) > 1.02 * machine.supply_pressure:
+            found.append(f"{name.replace('_', ' ')} above supply")
+    return found
 
 
 def response_table(study: Study) -> str:
@@ -222,10 +249,15 @@ def response_table(study: Study) -> str:
     rows: list[list[str]] = []
     for column, frequency in enumerate(response.frequencies):
         cells = [f"{1e3 * value:.3f}" if math.isfinite(value) else "failed" for value in response.amplitudes[:, column]]
-        rows.append([f"{frequency:.3g}", *cells, _response_remark(study, column)])
-    text = table(["frequency [Hz]", *(f"{LABELS[m]} [mm]" for m in response.models), "remark"], rows)
-    failures = [f"  {f.frequency:.3g} Hz {LABELS[f.model]}: {f.error}" for f in response.failures]
-    return "\n".join([text, *failures])
+        free = [f"{1e3 * study.frictionless_amplitudes[column]:.3f}"] if study.frictionless else []
+        rows.append([f"{frequency:.3g}", *cells, *free, _response_remark(study, column)])
+    header = ["frequency [Hz]", *(f"{LABELS[m]} [mm]" for m in response.models)]
+    free = ["nonlinear without dry friction [mm]"] if study.frictionless else []
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for f in response.failures:
+        reasons.setdefault((LABELS[f.model], str(f.error)), []).append(f"{f.frequency:.3g}")
+    failures = [f"  failed: {model} at {', '.join(at)} Hz: {why}" for (model, why), at in reasons.items()]
+    return "\n".join([table([*header, *free, "remark"], rows), *failures])
 
 
 def _response_remark(study: Study, column: int) -> str:
@@ -260,6 +292,7 @@ def study_data(study: Study) -> dict[str, Any]:
                 "means": {m: response.means[i] for i, m in enumerate(response.models)},
                 "n_periods": {m: response.n_periods[i] for i, m in enumerate(response.models)},
                 "is_unique": {m: response.is_unique[i] for i, m in enumerate(response.models)},
+                "nonlinear_amplitudes_without_dry_friction": study.frictionless_amplitudes,
                 "failures": [
                     {"model": f.model, "frequency": f.frequency, "error": str(f.error)} for f in response.failures
                 ],
@@ -305,7 +338,7 @@ def case_data(case: Case) -> dict[str, Any]:
         "frequency": case.frequency,
         "models": {name: model_data(model) for name, model in case.models.items()},
         "floquet": {name: floquet_data(found) for name, found in case.floquets.items()},
-        "orbits": {name: orbit_data(orbit) for name, orbit in case.orbits.items()},
+        "orbits": {name: orbit_data(orbit, case.machine) for name, orbit in case.orbits.items()},
         "failures": case.failures,
     }
 
@@ -338,9 +371,10 @@ def floquet_data(found: Floquet) -> dict[str, Any]:
     }
 
 
-def orbit_data(orbit: Orbit) -> dict[str, Any]:
+def orbit_data(orbit: Orbit, machine: Machine) -> dict[str, Any]:
     """Return the figures of an orbit."""
     return {
+        "remarks": remarks(orbit, machine),
         "is_unique": orbit.is_unique,
         "n_periods": orbit.n_periods,
         "residual": orbit.residual,

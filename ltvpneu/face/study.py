@@ -46,6 +46,8 @@ class Study:
     frictionless: tuple[Case, ...]
     """The same without dry friction, which the linear models neglect; empty where the machine has none."""
     response: AmplitudeResponse
+    frictionless_amplitudes: FloatArray
+    """Amplitudes of the nonlinear model without dry friction at the frequencies of `response` [m]."""
 
 
 def run_study(
@@ -74,12 +76,15 @@ def run_study(
         response=amplitude_response(
             machine, grid, n_steps=n_steps, operating_points=operating_points, progress=progress
         ),
+        frictionless_amplitudes=amplitude_response(
+            machine.without_dry_friction(), grid, models=["nonlinear"], progress=progress
+        ).amplitude("nonlinear"),
     )
 
 
 def n_parts(machine: Machine, frequencies: Sequence[float], grid: FloatArray) -> int:
     """Return how many parts `run_study` reports."""
-    return len(frequencies) * (2 if machine.has_dry_friction else 1) + grid.size
+    return len(frequencies) * (2 if machine.has_dry_friction else 1) + 2 * grid.size
 
 
 def run_case(machine: Machine, frequency: float, n_steps: int, operating_points: OperatingPoints) -> Case:
@@ -118,4 +123,7 @@ def frequency_grid(frequencies: Sequence[float], n_points: int) -> FloatArray:
     The frequencies themselves are among them.
     """
     even = np.geomspace(0.5 * min(frequencies), 1.5 * max(frequencies), n_points)
-    return np.union1d(even, np.array(frequencies, dtype=np.float64))
+    asked = np.array(frequencies, dtype=np.float64)
+    # A point beside one that was asked for would show the same number twice.
+    apart = np.all(np.abs(even[:, None] / asked - 1) > 0.02, axis=1)
+    return np.union1d(even[apart], asked)

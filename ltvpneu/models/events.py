@@ -69,15 +69,14 @@ def _margin(
 def _event_share(kind: int, mode: int, coefficients: FloatArray, machine: MachineArrays, work: FloatArray) -> float:
     """Return the share of the step at which an event of a kind happens, 2.0 if it does not.
 
-    Also looked for at the middle of the step, so that a short excursion is not passed over.
+    Looked for at every quarter of the step, so that a short excursion is not passed over.
     """
-    high = 2.0
-    if _margin(0.5, kind, mode, coefficients, machine, work) < 0.0:
-        high = 0.5
-    elif _margin(1.0, kind, mode, coefficients, machine, work) < 0.0:
-        high = 1.0
+    low, high = 0.0, 2.0
+    for quarter in range(1, 5):
+        if _margin(0.25 * quarter, kind, mode, coefficients, machine, work) < 0.0:
+            low, high = 0.25 * (quarter - 1), 0.25 * quarter
+            break
     if high <= 1.0:
-        low = 0.0
         for _ in range(60):
             middle = 0.5 * (low + high)
             if _margin(middle, kind, mode, coefficients, machine, work) < 0.0:
@@ -96,7 +95,9 @@ def first_event(mode: int, coefficients: FloatArray, machine: MachineArrays, wor
         first, found = _event_share(3, mode, coefficients, machine, work), 3
     else:
         # Looked at here, without a call: in slip this is asked at every step.
-        slowed = mode * _value(coefficients, 1, 0.5) < 0.0 or mode * _value(coefficients, 1, 1.0) < 0.0
+        slowed = False
+        for quarter in range(1, 5):
+            slowed = slowed or mode * _value(coefficients, 1, 0.25 * quarter) < 0.0
         if slowed and holding_force(machine.load.dry_friction, machine.load.stiction) > 0.0:
             first, found = _event_share(0, mode, coefficients, machine, work), 0
         if machine.load.lower_stop > -math.inf:

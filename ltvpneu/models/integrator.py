@@ -17,7 +17,7 @@ from ltvpneu.models.dynamics import STUCK
 from ltvpneu.models.events import first_event, land, mode_of, rest_at_source
 from ltvpneu.models.runge_kutta import Run, Workspace, copy, first_length, fixed_length, start_rate, try_step
 
-OK, TOO_MANY_STEPS, STEP_TOO_SMALL, VOLUME_GONE = 0, 1, 2, 3
+OK, TOO_MANY_STEPS, STEP_TOO_SMALL, LEFT_DOMAIN = 0, 1, 2, 3
 """How an integration ended."""
 
 
@@ -95,7 +95,7 @@ def _integrate_piece(piece: int, steps: int, mode: int, run: Run, space: Workspa
             return Progress(TOO_MANY_STEPS, time, steps, mode), log
         steps += 1
         if fresh and not start_rate(time, piece, mode, run, space):
-            return Progress(VOLUME_GONE, time, steps, mode), log
+            return Progress(LEFT_DOMAIN, time, steps, mode), log
         if h == 0.0:
             h = first_length(time, piece, mode, run, space)
         fresh = False
@@ -107,7 +107,7 @@ def _integrate_piece(piece: int, steps: int, mode: int, run: Run, space: Workspa
         if error > 1.0:
             h *= max(0.2, 0.9 * error**-0.2)
             if h < 1e-15 * period or not adaptive:
-                status = VOLUME_GONE if math.isinf(error) else STEP_TOO_SMALL
+                status = LEFT_DOMAIN if math.isinf(error) else STEP_TOO_SMALL
                 return Progress(status, time, steps, mode), log
             continue
         share, kind = first_event(mode, space.coefficients, run.machine, space.rate)

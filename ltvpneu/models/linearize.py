@@ -152,7 +152,7 @@ class HeldBack:
 
 
 @final
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class LtvModel:
     """A machine as a periodic linear system: what `ltv_model` and `lti_model` return."""
 
@@ -170,6 +170,12 @@ class LtvModel:
     """Relative distance kept from pressures where the flow's slope is infinite [-]; results depend on it."""
     iterations: int
     """Cycles computed to find the operating points."""
+
+    def __repr__(self) -> str:
+        return (
+            f"<LtvModel of {self.machine.name} at {self.frequency:g} Hz: {self.system.n_steps} steps, operating points "
+            f"{self.mode!r}, {len(self.held_back)} held back>"
+        )
 
     @cached_property
     def residual(self) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import FloatArray, IntArray, finite_array, positive, read_only, whole
 from ltvpneu.errors import ChamberVolumeError, IntegrationError, NotSettledError
 from ltvpneu.models.dynamics import STUCK, chamber_volume, external_force
-from ltvpneu.models.integrator import OK, STEP_TOO_SMALL, VOLUME_GONE, Record, integrate_period
+from ltvpneu.models.integrator import LEFT_DOMAIN, OK, STEP_TOO_SMALL, TOO_MANY_STEPS, Outcome, Record, integrate_period
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.polynomial import PolynomialTrajectory
 from ltvpneu.models.runge_kutta import Run, Schedule, Settings
@@ -70,7 +70,7 @@ Method = DormandPrince | RungeKutta4
 # and steps that resolve smaller differences multiply without use.
 LEAST_PRESSURE_TOLERANCE = 1e-7
 
-MAX_STEPS = 50_000_000
+MAX_STEPS = 5_000_000
 """Steps that a period may take before the integration is given up."""
 
 
@@ -134,8 +134,7 @@ def nonlinear_orbit(
     if found.n_periods == 0:
         raise NotSettledError(
             f"no periodic orbit after {found.n_simulated} valve periods: the scaled state still changes by "
-            f"{found.residual:.1e} (tolerance {tolerance:.1e}). It may drift (a piston without a spring), decay slowly "
-            "(raise max_periods) or be chaotic (look at lp.simulate).",
+            f"{found.residual:.1e} (tolerance {tolerance:.1e}). {_why_not_settled(machine, found.last)}",
             residual=found.residual,
             n_simulated=found.n_simulated,
             last_state=found.last.state,
@@ -150,6 +149,18 @@ def nonlinear_orbit(
         records.append(outcome.record)
     closure = float(np.max(np.abs(state - found.last.state) / scales))
     return _orbit(machine, period, records, (found.n_simulated, closure))
+
+
+def _why_not_settled(machine: Machine, last: Outcome) -> str:
+    """Return the likely cause and what to do."""
+    free = np.isinf([machine.cylinder.lower_stop, machine.cylinder.upper_stop]).any()
+    if machine.load.spring_stiffness == 0 and free:
+        moved = float(last.state[0] - last.record.coefficients[0, 0, 0])
+        return (
+            f"There is a piston without a spring (load.spring_stiffness is 0) and without both end stops: in the last "
+            f"period its position moved by {moved:+.3g} m. Give it a spring or end stops."
+        )
+    return "It may decay slowly (raise max_periods) or be chaotic (look at lp.simulate)."
 
 
 def simulate(  # noqa: PLR0913 - one call for one transient
@@ -267,7 +278,7 @@ def _raise_stopped(machine: Machine, status: int, time: float, state: FloatArray
     volumes = np.array([chamber_volume(k, float(state[0]), machine.arrays) for k in range(len(chambers))])
     shares = volumes / machine.arrays.chambers[:, 0]
     # Near a vanishing volume the pressure's rate grows without bound, so the step size may give out first.
-    if status == VOLUME_GONE or shares.min() < 1e-3:
+    if shares.min() < 1e-3:
         chamber = chambers[int(np.argmin(shares))]
         raise ChamberVolumeError(
             f"the volume of {chamber} would reach zero at t = {time:.6g} s ({where}). Give the cylinder end stops "
@@ -276,7 +287,13 @@ def _raise_stopped(machine: Machine, status: int, time: float, state: FloatArray
             time=time,
             state=state,
         )
-    reason = "the step size fell below rounding" if status == STEP_TOO_SMALL else "it took too many steps"
+    reasons = {
+        STEP_TOO_SMALL: "the step size fell below rounding",
+        TOO_MANY_STEPS: "it took too many steps",
+        LEFT_DOMAIN: "within a step a pressure or a volume fell to zero; if the step is fixed, it is too long: raise "
+        "steps_per_period",
+    }
+    reason = reasons[status]
     raise IntegrationError(
         f"the integration stopped at t = {time:.6g} s ({where}): {reason}. Is a volume or an area wrong by orders of "
         "magnitude?",

@@ -53,8 +53,8 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
     load = machine.load
     if load.spring_stiffness == 0:
         raise ValueError(
-            "load.spring_stiffness: found 0, expected above zero: without a spring no position balances the pressures. "
-            "Give ltv_model the operating points as an array of states, one row a step, or use the nonlinear model"
+            "load.spring_stiffness: found none, expected one above zero: without a spring no position balances the "
+            "pressures (in Python, ltv_model takes the operating points as an array of states)"
         )
     arrays = machine.arrays
     states = np.zeros((areas.shape[0], len(machine.states)))
@@ -83,9 +83,10 @@ def held_inside(
     floor = np.where(sources[:, :, 0] == exhaust, exhaust * (1 + least_distance), -np.inf)
     ceiling = np.where(sources[:, :, 1] == supply, supply * (1 - least_distance), np.inf)
     held = np.minimum(np.maximum(used[:, 2:], floor), ceiling)
-    # Between sources too near each other there is no room: the middle is farthest from both.
-    used[:, 2:] = np.where(floor <= ceiling, held, (supply + exhaust) / 2)
-    moved = np.argwhere(used != asked)
+    # Between sources too near each other there is no room, so the point is taken beyond both.
+    used[:, 2:] = np.where(floor <= ceiling, held, supply * (1 + least_distance))
+    # Rounding is not holding back.
+    moved = np.argwhere(np.abs(used - asked) > 1e-9 * machine.state_scales)
     return used, tuple(
         HeldBack(
             step=int(step),

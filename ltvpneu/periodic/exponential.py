@@ -118,9 +118,14 @@ class ExponentialTrajectory:
     def _shares(self) -> FloatArray:
         """Shares of a step at which its states are sampled: evenly for oscillation, halving to 0 for decay."""
         eigenvalues = np.linalg.eigvals(self.system.scaled.matrices[:, :-1, :-1]) * self.system.durations[:, None]
-        swings = float(np.max(np.abs(eigenvalues.imag)))
         decay = float(np.max(np.abs(eigenvalues)))
-        even = np.linspace(0.0, 1.0, 5 + int(np.ceil(4 * swings / np.pi)))
+        # A swing that decays is below rounding when its exponent reaches 40: beyond, nothing oscillates any more.
+        swinging = np.abs(eigenvalues.imag) > 0
+        with np.errstate(divide="ignore"):
+            lasts = np.where(eigenvalues.real < 0, np.minimum(40.0 / np.abs(eigenvalues.real), 1.0), 1.0)
+        until = float(np.max(lasts, where=swinging, initial=0.0))
+        swings = float(np.max(np.abs(eigenvalues.imag))) * until
+        even = np.union1d(np.linspace(0.0, until, 1 + int(np.ceil(4 * swings / np.pi))), np.linspace(0.0, 1.0, 5))
         halvings = 2.0 ** -np.arange(1, 2 + max(0, int(np.ceil(np.log2(max(decay, 1.0))))))
         return np.asarray(np.union1d(even, halvings), dtype=np.float64)
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltvpneu._arrays import FloatArray, not_negative, read_only
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.propagate import exponentials
+from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 ComplexArray = NDArray[np.complex128]
 
@@ -28,13 +29,14 @@ def monodromy(system: PeriodicSystem) -> FloatArray:
     >>> math.isclose(lp.monodromy(system)[0, 0], math.exp(-2))
     True
     """
+    expect_system(system)
     maps = system.maps
     scales = maps.steps.scales
     return read_only(maps.over_period()[:-1, :-1] * (scales[:, None] / scales))
 
 
 @final
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Floquet:
     """Multipliers of a periodic system, largest first, and what follows from them."""
 
@@ -45,9 +47,12 @@ class Floquet:
     modes: ComplexArray
     """Eigenvectors of the monodromy matrix at the start of the period, one a column, of unit length; (n, n)."""
     margin: float
-    """Distance from the unit circle within which the verdict is "marginal" [-]."""
+    """Distance from the unit circle within which the verdict is "marginal" [-]; covers the multipliers' own error."""
     period: float
     """[s]"""
+
+    def __repr__(self) -> str:
+        return f"<Floquet: {self.verdict}, spectral radius {self.spectral_radius:.6g}, multipliers {self.multipliers}>"
 
     @property
     def exponents(self) -> ComplexArray:
@@ -56,18 +61,18 @@ class Floquet:
 
     @property
     def spectral_radius(self) -> float:
-        """Largest modulus [-]."""
-        return float(np.exp(self.log_moduli[0]))
+        """Largest modulus [-]; infinite where it is beyond double precision."""
+        return math.exp(self.log_moduli[0]) if self.log_moduli[0] < 709 else math.inf
 
     @property
     def is_stable(self) -> bool:
         """Whether every perturbation decays: all multipliers inside the unit circle, by the margin."""
-        return self.spectral_radius < 1 - self.margin
+        return bool(self.spectral_radius < 1 - self.margin)
 
     @property
     def is_marginal(self) -> bool:
         """Whether the largest multiplier is within the margin of the unit circle, so that no verdict is safe."""
-        return abs(self.spectral_radius - 1) <= self.margin
+        return bool(abs(self.spectral_radius - 1) <= self.margin)
 
     @property
     def verdict(self) -> str:
@@ -94,49 +99,73 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     >>> lp.floquet(model.system).verdict
     'stable'
     """
+    expect_system(system)
     not_negative("least_margin", least_margin)
-    maps = system.maps
-    product = maps.maps[0, :-1, :-1]
-    log_scale, growth = 0.0, 1.0
-    for step in maps.maps[1:, :-1, :-1]:
-        product = step @ product
-        # Kept near one in size, so that a long product neither over- nor underflows.
-        size = float(np.max(np.abs(product)))
-        growth = max(growth, size)
-        if size > 0 and not 1e-100 < size < 1e100:
-            product = product / size
-            log_scale += math.log(size)
+    product, log_scale = _scaled_product(system)
     values, right = np.linalg.eig(product)
     with np.errstate(divide="ignore"):
         log_moduli = np.log(np.abs(values)) + log_scale
     order = np.lexsort((-np.imag(values), -log_moduli))
     values, right, log_moduli = values[order], right[:, order], log_moduli[order]
-    multipliers = np.exp(log_moduli) * np.exp(1j * np.angle(values))
-    scales = maps.steps.scales
+    with np.errstate(over="ignore", under="ignore"):
+        multipliers = np.exp(log_moduli) * np.exp(1j * np.angle(values))
+    scales = system.scaled.scales
     modes = scales[:, None] * right
-    backward_error = np.finfo(float).eps * system.n_states * math.sqrt(system.n_steps)
-    backward_error *= max(float(np.linalg.norm(product)) * math.exp(log_scale), 1.0)
     return Floquet(
         multipliers=multipliers,
         log_moduli=read_only(log_moduli),
         modes=modes / np.linalg.norm(modes, axis=0),
-        margin=max(least_margin, 10 * _eigenvalue_error(right, multipliers, backward_error)),
+        margin=max(least_margin, 10 * _relative_error(product, values, right, system.n_steps)),
         period=system.period,
     )
 
 
-def _eigenvalue_error(vectors: ComplexArray, multipliers: ComplexArray, backward_error: float) -> float:
-    """Bound the rounding error of the multipliers near the largest, from their condition numbers.
+LARGEST_NORM = 50.0
+"""Steps whose matrix times duration is larger are taken as a power of a shorter one, so that nothing overflows."""
 
-    A simple eigenvalue moves by its condition number times the backward error; near a defective one, where that
-    number has no bound, by the n-th root of the backward error.
+
+def _scaled_product(system: PeriodicSystem) -> tuple[FloatArray, float]:
+    """Return the balanced monodromy matrix, divided by a number that keeps it near one in size, and its logarithm."""
+    matrices = system.scaled.matrices[:, :-1, :-1] * system.durations[:, None, None]
+    norms = np.max(np.sum(np.abs(matrices), axis=1), axis=1)
+    steps = system.maps.maps[:, :-1, :-1] if norms.max() <= LARGEST_NORM else None
+    product, log_scale = np.eye(system.n_states), 0.0
+    for m in range(system.n_steps):
+        halvings = max(0, math.ceil(math.log2(norms[m] / LARGEST_NORM))) if norms[m] > 0 else 0
+        step = exponentials(matrices[None, m] / 2.0**halvings)[0] if steps is None else steps[m]
+        log_step = 0.0
+        for _ in range(halvings):
+            step, log_size = _normalized(step @ step)
+            log_step = 2 * log_step + log_size
+        product, log_size = _normalized(step @ product)
+        log_scale += log_step + log_size
+    return product, log_scale
+
+
+def _normalized(matrix: FloatArray) -> tuple[FloatArray, float]:
+    """Return a matrix divided by its largest entry, and the logarithm of that; as it is where that is near one."""
+    size = float(np.max(np.abs(matrix)))
+    if size == 0.0 or 1e-100 < size < 1e100:
+        return matrix, 0.0
+    return matrix / size, math.log(size)
+
+
+def _relative_error(product: FloatArray, values: ComplexArray, vectors: ComplexArray, n_steps: int) -> float:
+    """Bound the rounding error of the multipliers nearest to the unit circle, relative to the largest.
+
+    A simple eigenvalue moves by its condition number times the backward error; near a defective one, where that number
+    has no bound, by the n-th root of the backward error.
     """
-    defective = backward_error ** (1.0 / multipliers.size)
+    largest = float(np.abs(values[0]))
+    if largest == 0.0:
+        return 0.0
+    backward = np.finfo(float).eps * values.size * math.sqrt(n_steps) * float(np.linalg.norm(product)) / largest
+    defective = backward ** (1.0 / values.size)
     try:
         left = np.linalg.inv(vectors)
     except np.linalg.LinAlgError:
         return defective
     # The eigenvectors have unit length, so the norms of the rows of the inverse are the condition numbers.
     conditions = np.sqrt(np.sum(np.abs(left) ** 2, axis=1))
-    near = np.abs(multipliers) >= 0.5 * np.abs(multipliers[0])
-    return min(float(np.max(conditions[near])) * backward_error, defective)
+    near = np.abs(values) >= 0.5 * largest
+    return min(float(np.max(conditions[near])) * backward, defective)

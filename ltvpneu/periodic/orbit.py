@@ -31,7 +31,7 @@ class Trajectory(Protocol):
 
 
 @final
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Orbit:
     """One period of a periodic solution.
 
@@ -62,6 +62,11 @@ class Orbit:
     n_simulated: int
     """System periods simulated to reach it; 0 where it was solved for."""
     name: str
+
+    def __repr__(self) -> str:
+        kind = "" if self.is_unique else ", one of a band"
+        amplitude = f"amplitude of {self.signals[0]} {self.amplitude(0):.6g}"
+        return f"<Orbit of {self.name}: period {self.period:.6g} s, {len(self.step_labels)} steps, {amplitude}{kind}>"
 
     @property
     def period(self) -> float:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import finite_array, whole
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.propagate import exponentials
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 if TYPE_CHECKING:
     import control
@@ -45,6 +45,7 @@ def response(
     >>> lp.response(system, n_periods=3).states.shape[0]
     1
     """
+    expect_system(system)
     n_periods = whole("n_periods", n_periods)
     points_per_period = whole("points_per_period", points_per_period)
     start = np.zeros(system.n_states)

@@ -12,7 +12,7 @@ from ltvpneu.errors import NonUniqueOrbitError, NoOrbitError
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.propagate import StepMaps, states_from
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 
 def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Orbit:
@@ -47,6 +47,7 @@ def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Or
     ltvpneu.errors.NoOrbitError: no periodic steady state: a Floquet multiplier is one and every period drifts by z1
     +0.25...
     """
+    expect_system(system)
     return _orbit(system, periodic_states(system, singular_below))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array, read_only
+from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step_maps
 
@@ -66,6 +67,13 @@ class Step:
             B, D = np.column_stack([B, self.r]), np.column_stack([D, self.q])
             inputs = (*inputs, CONSTANT_INPUT)
         return bridge.state_space((self.A, B, self.C, D), (states, inputs, outputs), self.name)
+
+
+def expect_system(system: object) -> None:
+    """Raise `TypeError` unless given a `PeriodicSystem`; a model that carries one is told so."""
+    if not isinstance(system, PeriodicSystem):
+        hint = "; give its .system" if isinstance(getattr(system, "system", None), PeriodicSystem) else ""
+        raise TypeError(f"system: found {type(system).__name__}, expected a PeriodicSystem{hint}")
 
 
 @final
@@ -242,5 +250,20 @@ class PeriodicSystem:
 
     @cached_property
     def maps(self) -> StepMaps:
-        """The maps over all steps, which orbit, multipliers and response share."""
-        return step_maps(self.scaled, self.durations)
+        """The maps over all steps, which orbit and response share.
+
+        Raises
+        ------
+        StepOverflowError
+            A step grows by more than double precision holds.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            maps = step_maps(self.scaled, self.durations)
+        if not np.isfinite(maps.maps).all():
+            step = int(np.argwhere(~np.isfinite(maps.maps))[0][0])
+            raise StepOverflowError(
+                f"step {step + 1} of {self.durations[step]:g} s grows by more than double precision holds; its "
+                "eigenvalues times its duration go beyond 700. Are A and the durations in the same units of time? "
+                "Multipliers can still be had: floquet"
+            )
+        return maps

@@ -274,7 +274,7 @@ class RotaryValve:
 
     def with_duty(self, duty: float) -> "RotaryValve":
         """Return the valve with the open window [0, 2 pi duty], whatever its geometry."""
-        return replace(self, duty=duty)
+        return replace(self, duty=check_duty(duty))
 
     def with_offset(self, offset_angle: float) -> "RotaryValve":
         """Return the valve with its geometry's windows, shifted by the offset angle theta_s [rad]."""

@@ -272,7 +272,7 @@ def test_duty_zero_and_one_work_in_the_linear_models(table_1, duty):
 def test_no_spring_is_an_error_that_says_what_to_do(table_1):
     machine = replace(table_1, load=replace(table_1.load, spring_stiffness=0.0))
     for function in (lp.lti_model, lp.ltv_model):
-        with pytest.raises(ValueError, match=r"load.spring_stiffness: found 0, expected above zero"):
+        with pytest.raises(ValueError, match=r"load.spring_stiffness: found none, expected one above zero"):
             function(machine, 4.0)
     points = np.tile([0.04, 0.0, 2.4e5], (2, 1))
     model = lp.ltv_model(machine, 4.0, operating_points=points)

@@ -198,8 +198,35 @@ def test_a_pure_oscillator_is_marginal_and_its_exponents_are_imaginary():
 def test_exponents_stay_finite_where_multipliers_underflow():
     system = lp.PeriodicSystem.from_matrices([[[-900.0]], [[-800.0]]], [[1.0], [0.0]], [1.0, 1.0])
     found = lp.floquet(system)
-    assert found.log_moduli[0] == pytest.approx(-1700) or found.log_moduli[0] == -math.inf
+    assert found.log_moduli[0] == pytest.approx(-1700, rel=1e-12)
+    assert found.exponents[0] == pytest.approx(-850, rel=1e-12)
     assert found.is_stable
+
+
+@pytest.mark.parametrize("growth", [400.0, 710.0, 2000.0])
+def test_systems_that_grow_beyond_all_bounds_are_unstable_not_marginal(growth):
+    found = lp.floquet(lp.PeriodicSystem.from_matrices([np.diag([growth, -1.0])], [[1.0, 0.0]], [1.0]))
+    assert found.verdict == "unstable"
+    assert found.log_moduli[0] == pytest.approx(growth, rel=1e-12)
+    assert found.margin < 1e-9
+    many = lp.PeriodicSystem.from_matrices([np.diag([9.0, -1.0])] * 200, [[1.0, 0.0]] * 200, np.ones(200))
+    assert lp.floquet(many).log_moduli[0] == pytest.approx(1800, rel=1e-12)
+
+
+def test_a_step_beyond_double_precision_is_a_named_error():
+    system = lp.PeriodicSystem.from_matrices([np.diag([2000.0, -2000.0])], [[1.0, 1.0]], [1.0])
+    for function in (lp.steady_state, lp.monodromy):
+        with pytest.raises(lp.StepOverflowError, match="step 1 of 1 s grows by more than double precision"):
+            function(system)
+
+
+def test_a_slow_period_of_a_fast_oscillation_has_its_extremes_quickly():
+    """Ten million swings in a step, of which forty matter: they decay."""
+    A = [[[-50.0, 1000.0], [-1000.0, -50.0]]] * 2
+    system = lp.PeriodicSystem.from_matrices(A, [[1.0, 0.0], [-1.0, 0.0]], [5e4, 5e4])
+    orbit = lp.steady_state(system)
+    overshoot = orbit.at(5e4 + np.linspace(0, 0.02, 20001))
+    assert orbit.minimum("z1") == pytest.approx(overshoot[0].min(), rel=1e-6)
 
 
 def test_a_step_of_no_duration_changes_nothing():
@@ -291,11 +318,21 @@ def test_a_response_is_a_named_time_response():
         (([[[1.0]]], [[0.0, 1.0]], [1.0]), r"f: found shape \(1, 2\), expected \(1, 1\)"),
         (([[[1.0]]], [[0.0]], [1.0, 2.0]), r"A: found shape \(1, 1, 1\), expected \(2, any, any\)"),
         (([[[1.0]]], [[0.0]], [math.inf]), "durations: found inf"),
+        (([[[1j]]], [[0.0]], [1.0]), "A: found complex numbers, expected real"),
     ],
 )
 def test_bad_matrices_are_named(arguments, match):
     with pytest.raises(ValueError, match=match):
         lp.PeriodicSystem.from_matrices(*arguments)
+
+
+def test_a_model_given_for_its_system_is_told_so(table_1):
+    model = lp.ltv_model(table_1, 4.0)
+    for function in (lp.floquet, lp.steady_state, lp.monodromy, lp.response):
+        with pytest.raises(TypeError, match=r"found LtvModel, expected a PeriodicSystem; give its \.system"):
+            function(model)
+    for result in (model, lp.floquet(model.system), lp.steady_state(model.system)):
+        assert len(repr(result)) < 200
 
 
 def test_unknown_signals_are_named():

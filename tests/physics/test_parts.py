@@ -48,7 +48,7 @@ def test_dry_friction_above_stiction_holds_too():
         (lambda: Gas(heat_capacity_ratio=1.0), "heat_capacity_ratio: found 1"),
         (lambda: Gas(temperature=-1.0), "temperature: found -1 K"),
         (lambda: Gas(specific_gas_constant=math.inf), "specific_gas_constant: found inf"),
-        (lambda: Load(mass=0.0), "mass: found 0 kg, expected a finite number above zero kg"),
+        (lambda: Load(mass=0.0), "mass: found 0 kg, expected a finite number above zero$"),
         (lambda: Load(mass=1.0, spring_stiffness=-1.0), "spring_stiffness: found -1 N/m"),
         (lambda: Load(mass=1.0, stiction=math.nan), "stiction: found nan N"),
         (lambda: Cylinder(piston_area_1=1e-3, piston_area_2=1e-3, dead_volume_1=-1e-6), "dead_volume_1: found -1e-06"),

@@ -118,6 +118,12 @@ def test_duty_zero_and_one_have_no_switching(duty):
     assert OnOffValve(duty=duty).on_window().complement.profile.mean(0, TURN) == 1 - duty
 
 
+def test_no_duty_is_no_duty():
+    port = Port(way="supply", area=1e-5, discharge_coefficient=1.0, window=Window(start=0.0, width=1.0))
+    with pytest.raises(TypeError, match="duty: found None"):
+        RotaryValve(ports=(port,)).with_duty(None)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("duty", [-0.1, 1.1, math.nan, math.inf])
 def test_duty_outside_zero_to_one_is_refused(duty):
     with pytest.raises(ValueError, match=r"duty: found"):
