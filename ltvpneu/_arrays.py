@@ -32,11 +32,11 @@ def finite_array(
     try:
         # Without a wanted type first, so that complex numbers are seen and not cut to their real parts.
         found = np.array(values)
-        if found.dtype.kind == "c":
-            raise ValueError("complex")
-        array = found.astype(np.float64)
+        array = found.real.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: expected numbers in a regular array, found {values!r} ({error})") from None
+    if found.dtype.kind == "c":
+        raise ValueError(f"{name}: found complex numbers, expected real ones")
     if shape is not None and array.shape != tuple(shape):
         wrong = array.ndim != len(shape) or any(
             want is not None and have != want for have, want in zip(array.shape, shape, strict=False)

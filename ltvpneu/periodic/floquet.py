@@ -107,8 +107,11 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
         log_moduli = np.log(np.abs(values)) + log_scale
     order = np.lexsort((-np.imag(values), -log_moduli))
     values, right, log_moduli = values[order], right[:, order], log_moduli[order]
-    with np.errstate(over="ignore", under="ignore"):
-        multipliers = np.exp(log_moduli) * np.exp(1j * np.angle(values))
+    angles = np.angle(values)
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        moduli = np.exp(log_moduli)
+        # Part by part: an infinite modulus times a sine of zero is no number.
+        multipliers = moduli * np.cos(angles) + 1j * np.where(angles == 0, 0.0, moduli * np.sin(angles))
     scales = system.scaled.scales
     modes = scales[:, None] * right
     return Floquet(
