@@ -32,7 +32,7 @@ def finite_array(
     try:
         # Without a wanted type first, so that complex numbers are seen and not cut to their real parts.
         found = np.array(values)
-        array = found.real.astype(np.float64)
+        array = np.asarray(np.real(found), dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: expected numbers in a regular array, found {values!r} ({error})") from None
     if found.dtype.kind == "c":
