@@ -18,13 +18,13 @@ LABELS = {"nonlinear": "nonlinear", "ltv": "LTV", "lti": "LTI"}
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return aligned columns: the first to the left, the others to the right."""
+    """Return aligned columns: the first and remarks to the left, the others to the right."""
     widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
 
     def line(row: Sequence[str]) -> str:
         cells = [
-            row[0].ljust(widths[0]),
-            *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)),
+            cell.ljust(width) if column == 0 or header[column] == "remark" else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         return "  " + "   ".join(cells).rstrip()
 
@@ -133,9 +133,10 @@ def _held_back_text(study: Study) -> list[str]:
             ]
     if lines:
         distance = next(model.least_distance for case in study.cases for model in case.models.values())
-        lines.append(
-            f"  (kept in the quasi-static range and {100 * distance:g} % away from the pressures of open sources)"
-        )
+        lines += [
+            "  (Operating points are kept within what the machine reaches with the valve at rest, and at least",
+            f"  {100 * distance:g} % away from the pressure of an open source, where the flow's slope is infinite.)",
+        ]
     return lines
 
 
@@ -160,7 +161,7 @@ def stability_table(cases: Sequence[Case]) -> str:
         [
             f"{case.frequency:g} Hz {LABELS[name]}",
             multipliers_text(found),
-            f"{found.spectral_radius:.6f}",
+            f"{found.spectral_radius:.4g}",
             found.verdict,
         ]
         for case in cases
@@ -180,10 +181,13 @@ def failure_lines(cases: Sequence[Case]) -> list[str]:
 
 
 def multipliers_text(found: Floquet) -> str:
-    """Return the multipliers, a pair of complex ones as one."""
+    """Return the multipliers, a pair of complex ones as one, and what drowns in rounding as a bound."""
     parts: list[str] = []
+    floor = 1e-13 * found.spectral_radius
     for value in found.multipliers:
-        if abs(value.imag) <= 1e-12 * abs(value):
+        if abs(value) < floor:
+            parts.append(f"< {floor:.0e}")
+        elif abs(value.imag) <= 1e-12 * abs(value):
             parts.append(f"{value.real:.4g}")
         elif value.imag > 0:
             parts.append(f"{value.real:.4g} ± {value.imag:.4g}j")

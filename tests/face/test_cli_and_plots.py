@@ -37,7 +37,7 @@ def test_study_prints_tables_and_writes_pictures_and_json(tmp_path, capsys):
     assert amplitude == pytest.approx(0.0352800444372215, rel=1e-5)
     assert f"{1e3 * amplitude:.3f}" in printed
     radius = case["floquet"]["ltv"]["spectral_radius"]
-    assert f"{radius:.4g}" in printed
+    assert f"{radius:.4g}    stable" in printed
     assert f"{case['models']['ltv']['G'][0][2][2]:.5g}" in printed
     assert [c["frequency"] for c in data["cases"]] == [1, 4, 10]
     assert 4.0 in data["amplitude_response"]["frequencies"]
