@@ -325,8 +325,11 @@ def _trajectory(record: Record) -> PolynomialTrajectory:
 def _orbit(machine: Machine, period: float, records: list[Record], reached: tuple[int, float]) -> Orbit:
     record = _joined(records, period)
     modes, pieces = record.modes, record.pieces
-    changed = (modes[1:] != modes[:-1]) | (pieces[1:] != pieces[:-1])
-    begins = np.append(0, changed.nonzero()[0] + 1)
+    first = np.ones(modes.size, dtype=np.bool_)
+    first[1:] = (modes[1:] != modes[:-1]) | (pieces[1:] != pieces[:-1])
+    begins = first.nonzero()[0]
+    step_times = np.empty(begins.size + 1)
+    step_times[:-1], step_times[-1] = record.starts[begins], len(records) * period
     labels = {STUCK: "stuck", 1: "moves up", -1: "moves down"}
     free = not machine.has_dry_friction
     trajectory = _trajectory(record)
@@ -334,7 +337,7 @@ def _orbit(machine: Machine, period: float, records: list[Record], reached: tupl
     return Orbit(
         system_period=period,
         n_periods=len(records),
-        step_times=read_only(np.append(record.starts[begins], len(records) * period)),
+        step_times=read_only(step_times),
         step_states=read_only(record.coefficients[begins, 0]),
         step_labels=tuple("free" if free and mode != STUCK else labels[mode] for mode in modes[begins].tolist()),
         trajectory=trajectory,
@@ -349,7 +352,7 @@ def _orbit(machine: Machine, period: float, records: list[Record], reached: tupl
 
 def _in_stiction_band(machine: Machine, trajectory: PolynomialTrajectory, modes: IntArray) -> bool:
     """Whether the piston rests throughout, held by stiction alone, so that it could rest beside just as well."""
-    if not machine.has_dry_friction or not (modes == STUCK).all():
+    if modes[0] != STUCK or not machine.has_dry_friction or not (modes == STUCK).all():
         return False
     forces = [external_force(state, machine.arrays) for state in trajectory.coefficients[:, 0]]
     hold = holding_force(machine.load.dry_friction, machine.load.stiction)

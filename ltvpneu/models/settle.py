@@ -9,6 +9,7 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
 from ltvpneu.models.integrator import OK, Outcome, integrate_period
 from ltvpneu.models.runge_kutta import Run, copy
+from ltvpneu.physics.friction import holding_force
 
 MAX_SUBHARMONIC = 64
 """Longest orbit looked for, in valve periods."""
@@ -63,7 +64,8 @@ def _extrapolated(history: FloatArray, changes: FloatArray, done: int, scales: F
     """Return where a slow, steady contraction is heading, or an empty array.
 
     Steady: the ratio q of successive changes has settled, so that what is left to go is q / (1 - q) times the last
-    change (Aitken). The simulation goes on from there, so a wrong guess costs time, not truth.
+    change (Aitken). The simulation goes on from there, so without dry friction a wrong guess costs time, not truth;
+    with it the piston might be set past the place where it would have come to rest.
     """
     ring, n = history.shape
     ratios = np.empty(3)
@@ -89,7 +91,7 @@ def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, ma
 
     The change of the scaled state over k periods, r, bounds the distance from the orbit by r / (1 - q) where q is its
     contraction over the last k periods. The smallest k for which that falls below the tolerance is the orbit's. Where
-    the contraction is slow and steady the state is set ahead to where it is heading, and simulated on from there.
+    the contraction is slow and steady, and nothing sticks, the state is set ahead to where it is heading.
 
     Returns
     -------
@@ -102,6 +104,7 @@ def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, ma
     copy(start, history[0])
     # Counted from the start, or from where the state was last set ahead.
     done, simulated, best = 1, 1, math.inf
+    sticks = holding_force(run.machine.load.dry_friction, run.machine.load.stiction) > 0.0
     outcome = integrate_period(start, run, True)
     while outcome.status == OK:
         copy(outcome.state, history[done % ring])
@@ -115,7 +118,7 @@ def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, ma
                 return Settled(k, simulated, change, outcome)
         if simulated >= max_periods:
             break
-        ahead = _extrapolated(history, changes, done, scales) if done >= 24 else np.empty(0)
+        ahead = _extrapolated(history, changes, done, scales) if done >= 24 and not sticks else np.empty(0)
         state = outcome.state
         if ahead.size > 0:
             state, done = ahead, 0

@@ -126,6 +126,15 @@ def test_a_piston_locked_by_stiction_is_reported_as_one_of_a_band(table_1):
     assert other.mean("position") != pytest.approx(orbit.mean("position"), abs=1e-5)
 
 
+def test_a_piston_that_creeps_to_its_place_rests_where_simulation_leaves_it(table_1):
+    """Ratcheting up by ever smaller steps, it stops for good in period 43; any shortcut would carry it past."""
+    machine, frequency = table_1.with_duty(0.05), 15.831578947368422
+    orbit = lp.nonlinear_orbit(machine, frequency)
+    assert not orbit.is_unique
+    late = lp.simulate(machine, frequency, n_periods=80, points_per_period=1)
+    assert orbit.mean("position") == pytest.approx(late.states[0, -1], abs=1e-9)
+
+
 @pytest.mark.parametrize(("frequency", "duty"), [(5.41, 0.856), (5.45, 0.855), (5.4, 0.86)])
 def test_a_subharmonic_orbit_is_reported_with_its_period(table_1, frequency, duty):
     orbit = lp.nonlinear_orbit(table_1.with_duty(duty), frequency)
