@@ -11,8 +11,9 @@ from tqdm import tqdm
 
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.machine_file import bundled_machines, load_machine
-from ltvpneu.face.report import LABELS, multipliers_text, study_data, study_text, table
+from ltvpneu.face.report import LABELS, multipliers_text, study_text, table
 from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
+from ltvpneu.face.study_data import study_data
 from ltvpneu.models.ltv import MODES, ltv_model
 from ltvpneu.models.machine import Machine
 from ltvpneu.periodic.floquet import floquet

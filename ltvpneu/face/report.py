@@ -1,16 +1,13 @@
-"""Tables of a study for the terminal, and the same figures as plain data for a JSON file."""
+"""Tables of a study for the terminal, in shop units."""
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.face.study import Case, Study
-from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.operating_points import quasi_static_turn
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 
@@ -273,138 +270,3 @@ def _response_remark(study: Study, column: int) -> str:
     if response.n_periods[row, column] > 1:
         found.append(f"period {int(response.n_periods[row, column])}")
     return ", ".join(found)
-
-
-# The same as plain data
-# --------------------------------------------------------------------------------------------------
-
-
-def study_data(study: Study) -> dict[str, Any]:
-    """Return every figure of the report in SI units, ready for JSON; what is not finite is null."""
-    response = study.response
-    return _plain(
-        {
-            "units": "SI: m, s, Pa absolute, kg, rad, Hz",
-            "machine": machine_data(study.machine),
-            "n_steps": study.n_steps,
-            "cases": [case_data(case) for case in study.cases],
-            "cases_without_dry_friction": [case_data(case) for case in study.frictionless],
-            "amplitude_response": {
-                "signal": "position",
-                "frequencies": response.frequencies,
-                "amplitudes": {m: response.amplitudes[i] for i, m in enumerate(response.models)},
-                "means": {m: response.means[i] for i, m in enumerate(response.models)},
-                "n_periods": {m: response.n_periods[i] for i, m in enumerate(response.models)},
-                "is_unique": {m: response.is_unique[i] for i, m in enumerate(response.models)},
-                "nonlinear_amplitudes_without_dry_friction": study.frictionless_amplitudes,
-                "failures": [
-                    {"model": f.model, "frequency": f.frequency, "error": str(f.error)} for f in response.failures
-                ],
-            },
-        }
-    )
-
-
-def machine_data(machine: Machine) -> dict[str, Any]:
-    """Return what a machine is."""
-    cylinder, load, gas = machine.cylinder, machine.load, machine.gas
-    data: dict[str, Any] = {
-        "name": machine.name,
-        "supply_pressure": machine.supply_pressure,
-        "exhaust_pressure": machine.exhaust_pressure,
-        "duty": machine.duty,
-        "collapse": machine.collapse,
-        "states": list(machine.states),
-        "cylinder": dict(vars(cylinder)),
-        "load": dict(vars(load)),
-        "gas": {
-            "heat_capacity_ratio": gas.heat_capacity_ratio,
-            "specific_gas_constant": gas.specific_gas_constant,
-            "temperature": gas.temperature,
-        },
-        "connections": [
-            {
-                "source": c.source,
-                "chamber": c.chamber,
-                "effective_area": float(max(c.first.starts.max(), c.first.ends.max())),
-            }
-            for c in machine.connections
-        ],
-    }
-    if machine.load.spring_stiffness > 0:
-        data["mean_quasi_static_state"] = quasi_static_turn(machine, None).mean
-    return data
-
-
-def case_data(case: Case) -> dict[str, Any]:
-    """Return every figure of one frequency."""
-    return {
-        "frequency": case.frequency,
-        "models": {name: model_data(model) for name, model in case.models.items()},
-        "floquet": {name: floquet_data(found) for name, found in case.floquets.items()},
-        "orbits": {name: orbit_data(orbit, case.machine) for name, orbit in case.orbits.items()},
-        "failures": case.failures,
-    }
-
-
-def model_data(model: LtvModel) -> dict[str, Any]:
-    """Return the coefficients of a model."""
-    system = model.system
-    return {
-        "mode": model.mode,
-        "operating_points": model.operating_points,
-        "held_back": [dict(vars(held)) for held in model.held_back],
-        "least_distance": model.least_distance,
-        "durations": system.durations,
-        "G": system.A,
-        "f": system.f,
-        "B": system.B,
-        "inputs": list(system.inputs),
-        "levels": system.levels,
-    }
-
-
-def floquet_data(found: Floquet) -> dict[str, Any]:
-    """Return multipliers and verdict."""
-    return {
-        "multipliers": [[value.real, value.imag] for value in found.multipliers],
-        "log_moduli": found.log_moduli,
-        "spectral_radius": found.spectral_radius,
-        "margin": found.margin,
-        "verdict": found.verdict,
-    }
-
-
-def orbit_data(orbit: Orbit, machine: Machine) -> dict[str, Any]:
-    """Return the figures of an orbit."""
-    return {
-        "remarks": remarks(orbit, machine),
-        "is_unique": orbit.is_unique,
-        "n_periods": orbit.n_periods,
-        "residual": orbit.residual,
-        "initial_state": orbit.initial_state,
-        "signals": {
-            name: {
-                "amplitude": orbit.amplitude(name),
-                "mean": orbit.mean(name),
-                "minimum": orbit.minimum(name),
-                "maximum": orbit.maximum(name),
-            }
-            for name in orbit.signals
-        },
-    }
-
-
-def _plain(value: Any) -> Any:
-    """Return nested data with arrays as lists and numbers that JSON does not know as null."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value
