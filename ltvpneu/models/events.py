@@ -77,12 +77,18 @@ def _event_share(kind: int, mode: int, coefficients: FloatArray, machine: Machin
             low, high = 0.25 * (quarter - 1), 0.25 * quarter
             break
     if high <= 1.0:
-        for _ in range(60):
+        for _ in range(26):
             middle = 0.5 * (low + high)
             if _margin(middle, kind, mode, coefficients, machine, work) < 0.0:
                 high = middle
             else:
                 low = middle
+        # On so short a bracket the margin is a straight line to rounding.
+        before = _margin(low, kind, mode, coefficients, machine, work)
+        after = _margin(high, kind, mode, coefficients, machine, work)
+        root = low + (high - low) * (before / (before - after) + 1e-6)
+        if root < high and _margin(root, kind, mode, coefficients, machine, work) < 0.0:
+            high = root
     # The far side of the bracket: the event has happened there, so it does not happen again.
     return high
 
@@ -124,13 +130,14 @@ def land(kind: int, share: float, run: Run, space: Workspace) -> None:
 
 
 @compiled
-def rest_at_source(run: Run, space: Workspace) -> None:
+def rest_at_source(run: Run, space: Workspace) -> bool:
     """Let a chamber of a resting piston come to rest at the pressure of the one source it is open to.
 
     The flow is like the root of the pressure difference d, so d reaches zero in the finite time 2 d / |d'| and stays.
-    Left alone, an explicit method would go on in tiny steps beside that pressure, where the slope is infinite.
+    Left alone, an explicit method would go on in tiny steps beside that pressure, where the slope is infinite. Returns
+    whether a pressure was set.
     """
-    state, before = space.state, space.coefficients[0]
+    state, before, changed = space.state, space.coefficients[0], False
     for k in range(run.machine.chambers.shape[0]):
         low, high = source_range(k, space.areas, run.machine)
         if low == high:
@@ -138,4 +145,7 @@ def rest_at_source(run: Run, space: Workspace) -> None:
             # The interpolant's first power is the rate at the start of the step, times its length.
             change = space.coefficients[1, 2 + k]
             if difference * (state[2 + k] - low) <= 0.0 or abs(change) >= 2.0 * abs(difference):
+                set_to_rest = state[2 + k] != low
                 state[2 + k] = low
+                changed = changed or set_to_rest
+    return changed

@@ -125,8 +125,7 @@ def _integrate_piece(piece: int, steps: int, mode: int, run: Run, space: Workspa
         copy(space.new, space.state)
         copy(space.stages[6], space.stages[0])
         if mode == STUCK:
-            rest_at_source(run, space)
-            fresh = True
+            fresh = rest_at_source(run, space)
         if adaptive:
             h *= min(5.0, 0.9 * max(error, 1e-10) ** -0.2)
     return Progress(OK, time, steps, mode), log
