@@ -9,7 +9,6 @@ and extremes lie at step boundaries or at roots of a signal's derivative, which 
 for the step's fastest oscillation and decay, and then solved for.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import cast, final
@@ -106,7 +105,10 @@ class ExponentialTrajectory:
             return exponentials(matrix * time) @ start
 
         span = duration * (self._shares[left + 1] - self._shares[left])
-        slope_at: Callable[[float], float] = lambda time: float(slope @ state(time))  # noqa: E731
+
+        def slope_at(time: float) -> float:
+            return float(slope @ state(time))
+
         ends = slope_at(0.0), slope_at(span)
         # The sample beyond was computed another way: at a root on the boundary rounding may leave no change of sign.
         if ends[0] * ends[1] >= 0:

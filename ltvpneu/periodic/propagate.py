@@ -90,17 +90,6 @@ class StepMaps:
     """(n_steps, n + 1, n + 1)"""
     steps: ScaledSteps
 
-    @property
-    def transitions(self) -> FloatArray:
-        """W_m in physical coordinates, shape (n_steps, n, n)."""
-        scales = self.steps.scales
-        return self.maps[:, :-1, :-1] * (scales[:, None] / scales)
-
-    @property
-    def offsets(self) -> FloatArray:
-        """g_m in physical coordinates, shape (n_steps, n)."""
-        return self.maps[:, :-1, -1] * self.steps.unit * self.steps.scales
-
     def over_period(self) -> FloatArray:
         """Return the balanced augmented map over the whole period, shape (n + 1, n + 1)."""
         total = self.maps[0]
