@@ -50,6 +50,34 @@ class StepOverflowError(LtvpneuError):
     """A step of a periodic system grows by more than double precision holds."""
 
 
+class NotStableError(LtvpneuError):
+    """A quantity that only a stable system has was asked of one that is not, or not safely.
+
+    Attributes
+    ----------
+    floquet : Floquet
+        The system's multipliers and the margin of the verdict.
+    """
+
+    def __init__(self, message: str, *, floquet: Any) -> None:
+        super().__init__(message)
+        self.floquet = floquet
+
+
+class NotStabilizableError(LtvpneuError):
+    """A periodic Riccati equation has no stabilizing solution.
+
+    Attributes
+    ----------
+    multipliers : ndarray of complex
+        Of the closed loop nearest to stability that was found, largest first; the system's own where none was.
+    """
+
+    def __init__(self, message: str, *, multipliers: Any) -> None:
+        super().__init__(message)
+        self.multipliers = multipliers
+
+
 class NotSettledError(LtvpneuError):
     """A nonlinear simulation did not settle on a periodic orbit.
 

@@ -183,7 +183,7 @@ class LtvModel:
 
         Relative to the supply pressure. Zero would mean that the model is linearized about its own cycle.
         """
-        cycle = ExponentialTrajectory(system=self.system, step_states=periodic_states(self.system)[:-1])
+        cycle = ExponentialTrajectory(system=self.system, step_states=periodic_states(self.system))
         differences = cycle.step_state_means()[:, 2:] - self.operating_points[:, 2:]
         return float(np.max(np.abs(differences))) / self.machine.supply_pressure
 

@@ -104,7 +104,7 @@ def _asked(machine: Machine, frequency: float, turn: Turn, mode: OperatingPoints
     if mode not in MODES:
         raise ValueError(f"operating_points: found {mode!r}, expected one of {', '.join(MODES)}, or an array of states")
     system = lti_model_of_turn(machine, frequency, turn, True, least_distance).system
-    cycle = ExponentialTrajectory(system=system, step_states=periodic_states(system)[:-1])
+    cycle = ExponentialTrajectory(system=system, step_states=periodic_states(system))
     means = cycle.step_state_means()
     if mode == "mean":
         return np.tile(np.diff(turn.stairs.fractions) @ means, (N, 1))

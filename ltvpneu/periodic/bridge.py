@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ltvpneu._arrays import FloatArray
+from ltvpneu._arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     import control
@@ -13,14 +13,16 @@ def state_space(
     matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     names: tuple[Sequence[str], Sequence[str], Sequence[str]],
     name: str,
+    dt: float = 0.0,
 ) -> "control.StateSpace":
-    """Return A, B, C, D as a `control.StateSpace` with names of states, inputs and outputs, in continuous time."""
+    """Return A, B, C, D as a `control.StateSpace` with names of states, inputs and outputs; dt = 0: continuous time."""
     import control
 
     states, inputs, outputs = names
     # Copies: python-control's arrays are writable, and ours are not to be.
     return control.StateSpace(
         *(matrix.copy() for matrix in matrices),
+        dt,
         states=list(states),
         inputs=list(inputs),
         outputs=list(outputs),
@@ -53,4 +55,26 @@ def time_response(
         output_labels=list(outputs[0]),
         sysname=name,
         issiso=False,
+    )
+
+
+def frequency_response(
+    omega: FloatArray, values: ComplexArray, names: tuple[Sequence[str], Sequence[str]], name: str
+) -> "control.FrequencyResponseData":
+    """Return a `control.FrequencyResponseData`.
+
+    Parameters
+    ----------
+    omega : ndarray, shape (n_frequencies,)
+        [rad/s]
+    values : ndarray, shape (n_outputs, n_inputs, n_frequencies)
+    names : (outputs, inputs)
+    name : str
+        Of the system.
+    """
+    import control
+
+    outputs, inputs = names
+    return control.FrequencyResponseData(
+        values, omega.copy(), outputs=list(outputs), inputs=list(inputs), sysname=name, name=f"{name}_response"
     )

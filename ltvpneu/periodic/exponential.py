@@ -48,9 +48,7 @@ class ExponentialTrajectory:
 
     def at(self, times: FloatArray) -> FloatArray:
         """Return the signals at times within the period, shape (n_signals, n_times); at a switch, just after it."""
-        boundaries = self.system.switching_times
-        step = np.clip(np.searchsorted(boundaries, times, side="right") - 1, 0, self.system.n_steps - 1)
-        local = np.clip(times - boundaries[step], 0.0, self.system.durations[step])
+        step, local = self.system.step_at(times)
         maps = exponentials(self.system.scaled.matrices[step] * local[:, None, None])
         states = np.einsum("tij,tj->ti", maps, self._starts[step])
         return np.einsum("tsi,ti->st", self._rows[step], states)

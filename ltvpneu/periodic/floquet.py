@@ -1,25 +1,43 @@
-"""Monodromy matrix, Floquet multipliers and the verdict on stability.
+r"""Monodromy matrix, Floquet multipliers and modes, and the verdict on stability.
 
 Only the multipliers, the eigenvalues of the map over one period, decide: stability in each step is neither needed
-nor enough.
+nor enough. They are found from the factors of that map (`product`), not from the map, each step in pieces of moderate
+norm, so that single steps may under- or overflow.
+
+A mode of exponent mu is z(t) = p(t) e^{mu t} with p periodic, and p solves the cyclic system of the steps
+exp((A_k - mu I) T_k), which is singular just because mu is an exponent. So the shape of a mode of a tiny multiplier is
+as accurate as that of the largest.
+
+The margin of the verdict covers what rounding does to each factor: the multiplier lambda of right and left vectors
+x_k, y_k along the period moves by [Kato1995]_ (II.2.2)
+
+.. math:: \frac{\delta\lambda}{\lambda} = \sum_k \frac{y_{k+1}^H\,\delta F_k\,x_k}{y_{k+1}^H F_k x_k}
+
+.. [Kato1995] T. Kato, "Perturbation theory for linear operators", Springer 1995, the first-order term of a simple
+   eigenvalue.
 """
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ltvpneu._arrays import FloatArray, not_negative, read_only
-from ltvpneu.periodic.propagate import exponentials
+from ltvpneu._arrays import ComplexArray, FloatArray, not_negative, read_only
+from ltvpneu.periodic.cyclic import Reduced, reduced
+from ltvpneu.periodic.product import from_logs, log_multipliers
+from ltvpneu.periodic.propagate import complex_exponentials, exponentials
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
-
-ComplexArray = NDArray[np.complex128]
 
 
 def monodromy(system: PeriodicSystem) -> FloatArray:
     """Return the monodromy matrix Phi, z(T) = Phi z(0) + g, shape (n, n).
+
+    Raises
+    ------
+    StepOverflowError
+        A step grows by more than double precision holds.
 
     Examples
     --------
@@ -40,29 +58,38 @@ def monodromy(system: PeriodicSystem) -> FloatArray:
 class Floquet:
     """Multipliers of a periodic system, largest first, and what follows from them."""
 
+    system: PeriodicSystem
     multipliers: ComplexArray
-    """Characteristic multipliers [-], shape (n,), by falling modulus, then falling imaginary part."""
+    """Characteristic multipliers [-], by falling modulus, then falling imaginary part; 0 or inf where beyond double
+    precision; shape (n,)."""
     log_moduli: FloatArray
     """Natural logarithms of their moduli, -inf for zero, shape (n,)."""
-    modes: ComplexArray
-    """Eigenvectors of the monodromy matrix at the start of the period, one a column, of unit length; (n, n)."""
-    margin: float
-    """Distance from the unit circle within which the verdict is "marginal" [-]; covers the multipliers' own error."""
-    period: float
-    """[s]"""
+    angles: FloatArray
+    """Their angles in (-pi, pi], shape (n,)."""
+    least_margin: float
 
     def __repr__(self) -> str:
         return f"<Floquet: {self.verdict}, spectral radius {self.spectral_radius:.6g}, multipliers {self.multipliers}>"
 
     @property
+    def period(self) -> float:
+        """Of the system [s]."""
+        return self.system.period
+
+    @property
     def exponents(self) -> ComplexArray:
         """Principal characteristic exponents log(multiplier) / period [1/s], shape (n,)."""
-        return (self.log_moduli + 1j * np.angle(self.multipliers)) / self.period
+        return (self.log_moduli + 1j * self.angles) / self.period
 
     @property
     def spectral_radius(self) -> float:
         """Largest modulus [-]; infinite where it is beyond double precision."""
         return math.exp(self.log_moduli[0]) if self.log_moduli[0] < 709 else math.inf
+
+    @cached_property
+    def margin(self) -> float:
+        """Distance from the unit circle within which the verdict is "marginal" [-]; covers the multipliers' own error."""
+        return max(self.least_margin, 10 * _relative_error(self))
 
     @property
     def is_stable(self) -> bool:
@@ -81,6 +108,82 @@ class Floquet:
             return "stable"
         return "marginal" if self.is_marginal else "unstable"
 
+    @cached_property
+    def modes(self) -> ComplexArray:
+        """Eigenvectors of the monodromy matrix at the start of the period, one a column, of unit length; (n, n)."""
+        modes = self.mode_shapes[0]
+        return modes / np.linalg.norm(modes, axis=0)
+
+    @cached_property
+    def mode_shapes(self) -> ComplexArray:
+        """Periodic p of each mode z(t) = p(t) exp(exponent t) at the start of every step, shape (n_steps, n, n).
+
+        One mode a column, in the order of the multipliers, of unit length where it is longest.
+        """
+        vectors = np.stack([self._vectors(i)[0] for i in range(self.system.n_states)], axis=2)
+        starts = np.cumsum(self.system.fine_pieces) - self.system.fine_pieces
+        shapes = vectors[starts] * self.system.scaled.scales[:, None]
+        return shapes / np.max(np.linalg.norm(shapes, axis=1), axis=0)
+
+    @cached_property
+    def adjoint_shapes(self) -> ComplexArray:
+        """Periodic q of each adjoint mode at the start of every step, q^T p constant in time; (n_steps, n, n).
+
+        One a column, so scaled that q^T p = 1 for its own mode.
+        """
+        vectors = np.stack([self._vectors(i)[1] for i in range(self.system.n_states)], axis=2)
+        starts = np.cumsum(self.system.fine_pieces) - self.system.fine_pieces
+        shapes = vectors[starts] / self.system.scaled.scales[:, None]
+        return shapes / np.sum(shapes * self.mode_shapes, axis=1, keepdims=True)
+
+    def mode_shape(self, mode: int, times: FloatArray) -> ComplexArray:
+        """Return p(t) of one mode at times within the period [s], shape (n, n_times)."""
+        system, exponent = self.system, self.exponents[mode]
+        step, local = system.step_at(times)
+        matrices = system.scaled.matrices[step, :-1, :-1] - exponent * np.eye(system.n_states)
+        maps = complex_exponentials(matrices * local[:, None, None])
+        scales = system.scaled.scales
+        starts = self.mode_shapes[step, :, mode] / scales
+        return (scales * (maps @ starts[:, :, None])[:, :, 0]).T
+
+    def _vectors(self, mode: int) -> tuple[ComplexArray, ComplexArray]:
+        """Return balanced p and q of a mode at the start of every piece, shapes (n_pieces, n)."""
+        if self.angles[mode] < 0:
+            # The upper half of a pair stands first.
+            p, q = self._upper_vectors(mode - 1)
+            return np.conj(p), np.conj(q)
+        return self._upper_vectors(mode)
+
+    def _upper_vectors(self, mode: int) -> tuple[ComplexArray, ComplexArray]:
+        if mode not in self._known_vectors:
+            # Members of one multiple multiplier take the singular vectors in turn.
+            apart = np.abs(self.log_moduli - self.log_moduli[mode]) + np.abs(self.angles - self.angles[mode])
+            member = int(np.count_nonzero(apart[:mode] < 1e-8))
+            self._known_vectors[mode] = self._pieces_of_exponent(complex(self.exponents[mode]), member)
+        return self._known_vectors[mode]
+
+    @cached_property
+    def _known_vectors(self) -> dict[int, tuple[ComplexArray, ComplexArray]]:
+        return {}
+
+    def _pieces_of_exponent(self, exponent: complex, member: int) -> tuple[ComplexArray, ComplexArray]:
+        system, pieces = self.system, self.system.fine_pieces
+        n = system.n_states
+        matrices = (system.scaled.matrices[:, :n, :n] - exponent * np.eye(n)) * system.durations[:, None, None]
+        factors = np.repeat(complex_exponentials(matrices / pieces[:, None, None]), pieces, axis=0)
+        nothing = np.zeros((len(factors), n, 1))
+        forward = _null_trajectory(reduced(factors, nothing), member)
+        transposed = np.swapaxes(factors[::-1], 1, 2)
+        backward = _null_trajectory(reduced(transposed, nothing), member)
+        return forward, np.roll(backward[::-1], 1, axis=0)
+
+
+def _null_trajectory(one: Reduced, member: int) -> ComplexArray:
+    """Return the solution of the singular cyclic system along its smallest singular value but `member`, (N, n)."""
+    right = np.linalg.svd(one.first + one.last)[2]
+    start = np.conj(right[len(right) - 1 - member])[:, None]
+    return one.all_from(start, start)[:-1, :, 0]
+
 
 def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     """Return the Floquet multipliers and modes of a periodic system.
@@ -89,7 +192,7 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     ----------
     system : PeriodicSystem
     least_margin : float
-        Smallest margin of the verdict. It is widened to the rounding error of the computed multipliers, estimated from
+        Smallest margin of the verdict. It is widened to the rounding error of the largest multipliers, estimated from
         their condition numbers.
 
     Examples
@@ -100,75 +203,42 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     'stable'
     """
     expect_system(system)
-    not_negative("least_margin", least_margin)
-    product, log_scale = _scaled_product(system)
-    values, right = np.linalg.eig(product)
-    with np.errstate(divide="ignore"):
-        log_moduli = np.log(np.abs(values)) + log_scale
-    order = np.lexsort((-np.imag(values), -log_moduli))
-    values, right, log_moduli = values[order], right[:, order], log_moduli[order]
-    angles = np.angle(values)
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        moduli = np.exp(log_moduli)
-        # Part by part: an infinite modulus times a sine of zero is no number.
-        multipliers = moduli * np.cos(angles) + 1j * np.where(angles == 0, 0.0, moduli * np.sin(angles))
-    scales = system.scaled.scales
-    modes = scales[:, None] * right
+    found = from_logs(*log_multipliers(_factors(system)))
     return Floquet(
-        multipliers=multipliers,
-        log_moduli=read_only(log_moduli),
-        modes=modes / np.linalg.norm(modes, axis=0),
-        margin=max(least_margin, 10 * _relative_error(product, values, right, system.n_steps)),
-        period=system.period,
+        system=system,
+        multipliers=found.multipliers,
+        log_moduli=found.log_moduli,
+        angles=found.angles,
+        least_margin=not_negative("least_margin", least_margin),
     )
 
 
-LARGEST_NORM = 50.0
-"""Steps whose matrix times duration is larger are taken as a power of a shorter one, so that nothing overflows."""
+def _factors(system: PeriodicSystem) -> FloatArray:
+    """Return the balanced transition matrices of all pieces, shape (n_pieces, n, n)."""
+    pieces, n = system.fine_pieces, system.n_states
+    if len(pieces) == np.sum(pieces):
+        return system.maps.maps[:, :n, :n]
+    matrices = system.scaled.matrices[:, :n, :n] * (system.durations / pieces)[:, None, None]
+    return np.repeat(exponentials(matrices), pieces, axis=0)
 
 
-def _scaled_product(system: PeriodicSystem) -> tuple[FloatArray, float]:
-    """Return the balanced monodromy matrix, divided by a number that keeps it near one in size, and its logarithm."""
-    matrices = system.scaled.matrices[:, :-1, :-1] * system.durations[:, None, None]
-    norms = np.max(np.sum(np.abs(matrices), axis=1), axis=1)
-    steps = system.maps.maps[:, :-1, :-1] if norms.max() <= LARGEST_NORM else None
-    product, log_scale = np.eye(system.n_states), 0.0
-    for m in range(system.n_steps):
-        halvings = max(0, math.ceil(math.log2(norms[m] / LARGEST_NORM))) if norms[m] > 0 else 0
-        step = exponentials(matrices[None, m] / 2.0**halvings)[0] if steps is None else steps[m]
-        log_step = 0.0
-        for _ in range(halvings):
-            step, log_size = _normalized(step @ step)
-            log_step = 2 * log_step + log_size
-        product, log_size = _normalized(step @ product)
-        log_scale += log_step + log_size
-    return product, log_scale
-
-
-def _normalized(matrix: FloatArray) -> tuple[FloatArray, float]:
-    """Return a matrix divided by its largest entry, and the logarithm of that; as it is where that is near one."""
-    size = float(np.max(np.abs(matrix)))
-    if size == 0.0 or 1e-100 < size < 1e100:
-        return matrix, 0.0
-    return matrix / size, math.log(size)
-
-
-def _relative_error(product: FloatArray, values: ComplexArray, vectors: ComplexArray, n_steps: int) -> float:
+def _relative_error(found: Floquet) -> float:
     """Bound the rounding error of the multipliers nearest to the unit circle, relative to the largest.
 
-    A simple eigenvalue moves by its condition number times the backward error; near a defective one, where that number
-    has no bound, by the n-th root of the backward error.
+    A simple eigenvalue moves by its condition number times the backward error of each factor; near a defective one,
+    where that number has no bound, by the n-th root of the backward error.
     """
-    largest = float(np.abs(values[0]))
-    if largest == 0.0:
+    n, n_pieces = found.system.n_states, int(np.sum(found.system.fine_pieces))
+    if not np.isfinite(found.log_moduli[0]):
         return 0.0
-    backward = np.finfo(float).eps * values.size * math.sqrt(n_steps) * float(np.linalg.norm(product)) / largest
-    defective = backward ** (1.0 / values.size)
-    try:
-        left = np.linalg.inv(vectors)
-    except np.linalg.LinAlgError:
-        return defective
-    # The eigenvectors have unit length, so the norms of the rows of the inverse are the condition numbers.
-    conditions = np.sqrt(np.sum(np.abs(left) ** 2, axis=1))
-    near = np.abs(values) >= 0.5 * largest
-    return min(float(np.max(conditions[near])) * backward, defective)
+    backward = np.finfo(float).eps * n * math.sqrt(n_pieces)
+    near = np.flatnonzero(found.log_moduli >= found.log_moduli[0] - math.log(2))
+    conditions = [_condition(*found._vectors(int(i))) for i in near if found.angles[i] >= 0]
+    return min(max(conditions) * backward, backward ** (1.0 / n))
+
+
+def _condition(p: ComplexArray, q: ComplexArray) -> float:
+    """Return the largest |q| |p| / |q^T p| along the period."""
+    overlap = np.abs(np.sum(q * p, axis=1))
+    with np.errstate(divide="ignore", over="ignore"):
+        return float(np.max(np.linalg.norm(q, axis=1) * np.linalg.norm(p, axis=1) / overlap))

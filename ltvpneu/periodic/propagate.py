@@ -7,6 +7,7 @@ and the forcing scaled before exponentiating: in SI units the entries span nine 
 """
 
 import math
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from typing import final
@@ -16,7 +17,7 @@ from scipy.linalg import expm
 from scipy.linalg.lapack import dgebal  # pyright: ignore[reportAttributeAccessIssue] - made at build time
 from threadpoolctl import ThreadpoolController
 
-from ltvpneu._arrays import FloatArray
+from ltvpneu._arrays import ComplexArray, FloatArray
 
 
 @cache
@@ -24,16 +25,25 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def exponentials(matrices: FloatArray) -> FloatArray:
-    """Exponentials of a stack of small matrices, shape (..., k, k).
+def one_blas_thread(stack: int) -> AbstractContextManager[object]:
+    """Return a context in which work on a stack of tiny matrices, of that length, goes on one BLAS thread.
 
-    Long stacks go on one BLAS thread: on tiny matrices more threads cost five to twenty times as much on a busy
-    machine. For short ones asking for that would cost more than it saves.
+    On tiny matrices more threads cost five to twenty times as much on a busy machine. For short stacks asking for that
+    would cost more than it saves.
     """
-    if matrices.shape[0] < 64:
+    return nullcontext() if stack < 64 else _blas().limit(limits=1, user_api="blas")
+
+
+def exponentials(matrices: FloatArray) -> FloatArray:
+    """Exponentials of a stack of small matrices, shape (..., k, k)."""
+    with one_blas_thread(matrices.shape[0]):
         return np.asarray(expm(matrices), dtype=np.float64)
-    with _blas().limit(limits=1, user_api="blas"):
-        return np.asarray(expm(matrices), dtype=np.float64)
+
+
+def complex_exponentials(matrices: ComplexArray) -> ComplexArray:
+    """Exponentials of a stack of small complex matrices, shape (..., k, k)."""
+    with one_blas_thread(matrices.shape[0]):
+        return np.asarray(expm(matrices), dtype=np.complex128)
 
 
 @final
@@ -101,14 +111,3 @@ class StepMaps:
 def step_maps(steps: ScaledSteps, durations: FloatArray) -> StepMaps:
     """Return the maps over all steps, (11) without its inverse."""
     return StepMaps(maps=exponentials(steps.matrices * durations[:, None, None]), steps=steps)
-
-
-def states_from(maps: StepMaps, initial_state: FloatArray) -> FloatArray:
-    """Return the states at the start of every step and at the end of the last, (13), shape (n_steps + 1, n)."""
-    steps = maps.steps
-    state = np.append(initial_state / steps.scales, steps.unit)
-    found = [state]
-    for step in maps.maps:
-        state = step @ state
-        found.append(state)
-    return steps.physical(np.array(found))

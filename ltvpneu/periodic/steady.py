@@ -1,17 +1,20 @@
 r"""Periodic steady state (14), with a diagnosis where there is none or more than one.
 
-z(T) = Phi z(0) + g, so the periodic state solves (I - Phi) z = g. A Floquet multiplier at one makes that singular:
-then the part of g along its left eigenvector is a drift per period, and only if that vanishes is there an orbit, and
-a whole family of them.
+The states at the step boundaries solve z_{k+1} = W_k z_k + g_k with z_N = z_0. What `cyclic` leaves of that is
+A z(0) + B z(T) = g, the rows of z(T) = Phi z(0) + g in a mixture that stays well scaled where Phi does not. A Floquet
+multiplier at one makes A + B singular: then the part of g along its left null vectors is a drift per period, and only
+if that vanishes is there an orbit, and a whole family of them.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
-from ltvpneu._arrays import BoolArray, FloatArray
+from ltvpneu._arrays import BoolArray, FloatArray, IntArray
 from ltvpneu.errors import NonUniqueOrbitError, NoOrbitError
+from ltvpneu.periodic.cyclic import Reduced, reduced
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.propagate import StepMaps, states_from
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 
@@ -22,8 +25,8 @@ def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Or
     ----------
     system : PeriodicSystem
     singular_below : float
-        Smallest singular value of the balanced I - Phi, relative to its largest and to one, below which a multiplier
-        counts as one.
+        Smallest singular value of the balanced A + B, relative to the size of A and B, below which a multiplier counts
+        as one.
 
     Returns
     -------
@@ -48,59 +51,71 @@ def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Or
     +0.25...
     """
     expect_system(system)
-    return _orbit(system, periodic_states(system, singular_below))
-
-
-def periodic_states(system: PeriodicSystem, singular_below: float = 1e-12) -> FloatArray:
-    """Return the periodic state at the start of every step and at the end of the last, shape (n_steps + 1, n).
-
-    Raises as `steady_state` does.
-    """
-    maps = system.maps
-    total = maps.over_period()
-    n = system.n_states
-    gap = np.eye(n) - total[:n, :n]
-    forcing = total[:n, n] * maps.steps.unit
-    left, values, right = np.linalg.svd(gap)
-    null = values <= singular_below * max(1.0, values[0])
-    if null.any():
-        _raise_singular(system, maps, (left, values, right, null), forcing)
-    return states_from(maps, maps.steps.scales * (right.T @ ((left.T @ forcing) / values)))
-
-
-def _orbit(system: PeriodicSystem, reached: FloatArray) -> Orbit:
-    scales = np.maximum(np.max(np.abs(reached), axis=0), np.finfo(float).tiny)
+    finer, starts = _finer(system)
+    states = _periodic_states(finer, singular_below)
+    steps = finer.maps.steps
+    reached = steps.physical((finer.maps.maps @ steps.augmented(states)[:, :, None])[:, :, 0])
+    scales = np.maximum(np.max(np.abs(states), axis=0), np.finfo(float).tiny)
     return Orbit(
         system_period=system.period,
         n_periods=1,
         step_times=system.switching_times,
-        step_states=reached[:-1],
+        step_states=states[starts],
         step_labels=tuple(f"step {m + 1}" for m in range(system.n_steps)),
-        trajectory=ExponentialTrajectory(system=system, step_states=reached[:-1]),
+        trajectory=ExponentialTrajectory(system=finer, step_states=states),
         states=system.states,
         outputs=system.outputs,
         is_unique=True,
-        residual=float(np.max(np.abs(reached[-1] - reached[0]) / scales)),
+        residual=float(np.max(np.abs(reached - np.roll(states, -1, axis=0)) / scales)),
         n_simulated=0,
         name=system.name,
     )
 
 
-def _raise_singular(
-    system: PeriodicSystem,
-    maps: StepMaps,
-    decomposition: tuple[FloatArray, FloatArray, FloatArray, BoolArray],
-    forcing: FloatArray,
-) -> None:
-    left, values, right, null = decomposition
+def periodic_states(system: PeriodicSystem, singular_below: float = 1e-12) -> FloatArray:
+    """Return the periodic state at the start of every step, shape (n_steps, n); raises as `steady_state` does."""
+    finer, starts = _finer(system)
+    return _periodic_states(finer, singular_below)[starts]
+
+
+def _finer(system: PeriodicSystem) -> tuple[PeriodicSystem, IntArray]:
+    """Return the system with growing steps split, and the pieces at which its own steps start."""
+    pieces = system.growing_pieces
+    starts = np.cumsum(pieces) - pieces
+    return system.split(pieces), starts
+
+
+def _periodic_states(system: PeriodicSystem, singular_below: float) -> FloatArray:
+    maps, n = system.maps, system.n_states
+    one = reduced(maps.maps[:, :n, :n], maps.maps[:, :n, n:] * maps.steps.unit)
+    left, values, right = np.linalg.svd(one.first + one.last)
+    null = values <= singular_below * max(np.linalg.norm(one.first, 2), np.linalg.norm(one.last, 2))
+    if null.any():
+        _raise_singular(system, one, _Null(left, values, right, null))
+    start = right.T @ ((left.T @ one.rhs) / values[:, None])
+    return one.all_from(start, start)[:-1, :, 0] * maps.steps.scales
+
+
+class _Null(NamedTuple):
+    """Singular values of A + B, its singular vectors, and which of the values count as zero."""
+
+    left: FloatArray
+    values: FloatArray
+    right: FloatArray
+    found: BoolArray
+
+
+def _raise_singular(system: PeriodicSystem, one: Reduced, null: _Null) -> None:
+    maps = system.maps
     scales = maps.steps.scales
-    left_null, right_null = left[:, null], right[null].T
+    left_null, right_null = null.left[:, null.found], null.right[null.found].T
+    forcing = left_null.T @ one.rhs[:, 0]
     # Spectral projector: what a period adds along the directions that do not return.
-    overlap = left_null.T @ right_null
+    overlap = left_null.T @ one.last @ right_null
     if abs(np.linalg.det(overlap)) > 1e-8:
-        drift = right_null @ np.linalg.solve(overlap, left_null.T @ forcing)
+        drift = right_null @ np.linalg.solve(overlap, forcing)
     else:
-        drift = left_null @ (left_null.T @ forcing)
+        drift = np.linalg.pinv(one.last) @ left_null @ forcing
     size = max(float(np.max(np.abs(maps.maps[:, :-1, -1])) * maps.steps.unit), np.finfo(float).tiny)
     if np.max(np.abs(drift)) > 1e-10 * size:
         drift = scales * drift
@@ -111,17 +126,17 @@ def _raise_singular(
             "a restoring force.",
             drift=drift,
         )
-    inverse = np.where(null, 0.0, 1.0 / np.where(null, 1.0, values))
-    particular = scales * (right.T @ (inverse * (left.T @ forcing)))
+    inverse = np.where(null.found, 0.0, 1.0 / np.where(null.found, 1.0, null.values))
+    particular = scales * (null.right.T @ (inverse * (null.left.T @ one.rhs[:, 0])))
     directions = np.linalg.qr(scales[:, None] * right_null)[0]
     least_norm = particular - directions @ (directions.T @ particular)
-    gap = float(values[null].max() / max(1.0, values[0]))
+    gap = float(null.values[null.found].max())
     shown = "; ".join(
         ", ".join(f"{name} {x:+.3g}" for name, x in zip(system.states, direction, strict=True) if abs(x) > 1e-12)
         for direction in directions.T
     )
     raise NonUniqueOrbitError(
-        f"I - Phi is singular to {gap:.1e}: a Floquet multiplier equals one, so the orbit is not unique. "
+        f"The periodic equation is singular to {gap:.1e}: a Floquet multiplier equals one, so the orbit is not unique. "
         f"Free direction: {shown}. A piston without a spring does that; the orbit nearest the origin is "
         "in .least_norm.",
         least_norm=least_norm,

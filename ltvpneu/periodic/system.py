@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import FloatArray, finite_array, read_only
+from ltvpneu._arrays import FloatArray, IntArray, finite_array, read_only, whole
 from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step_maps
@@ -67,6 +67,14 @@ class Step:
             B, D = np.column_stack([B, self.r]), np.column_stack([D, self.q])
             inputs = (*inputs, CONSTANT_INPUT)
         return bridge.state_space((self.A, B, self.C, D), (states, inputs, outputs), self.name)
+
+
+GROWTH = 1e3
+"""Largest entry of a step's balanced transition matrix that costs no accuracy worth naming."""
+NORM_OF_A_PIECE = 4.0
+"""Norm of A times duration up to which a step is taken in one where the small directions count."""
+MOST_PIECES = 1 << 17
+"""Pieces into which stiff steps are split before pieces of a greater norm are taken."""
 
 
 def expect_system(system: object) -> None:
@@ -229,6 +237,11 @@ class PeriodicSystem:
         """Step boundaries from 0 to the period [s], shape (n_steps + 1,)."""
         return read_only(np.concatenate([[0.0], np.cumsum(self.durations)]))
 
+    def step_at(self, times: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the step in force at times within the period [s], and the time since it began; at a switch the new one."""
+        step = np.clip(np.searchsorted(self.switching_times, times, side="right") - 1, 0, self.n_steps - 1)
+        return step, np.clip(times - self.switching_times[step], 0.0, self.durations[step])
+
     @cached_property
     def steps(self) -> tuple[Step, ...]:
         """The steps, one by one."""
@@ -242,6 +255,55 @@ class PeriodicSystem:
             )
             for i in range(self.n_steps)
         )  # fmt: skip
+
+    def split(self, pieces: Sequence[int] | IntArray) -> "PeriodicSystem":
+        """Return the system with each step split into that many equal ones, shape (n_steps,); it behaves the same."""
+        counts = np.asarray([whole("pieces", count) for count in pieces])
+        if counts.size != self.n_steps:
+            raise ValueError(f"pieces: found {counts.size} numbers, expected one for each of the {self.n_steps} steps")
+        if np.all(counts == 1):
+            return self
+        repeated = {field: np.repeat(getattr(self, field), counts, axis=0) for field in ("A", "B", "r", "C", "D", "q")}
+        return replace(self, durations=np.repeat(self.durations / counts, counts), **repeated)
+
+    @cached_property
+    def growing_pieces(self) -> IntArray:
+        """Number of equal pieces to take each step in, shape (n_steps,): one where the state grows by less than `GROWTH`."""
+        grown = np.max(np.abs(self._maps.maps[:, :-1, :-1]), axis=(1, 2), initial=0.0)
+        growing = ~(grown <= GROWTH)
+        if not growing.any():
+            return np.ones(self.n_steps, dtype=np.int64)
+        return np.where(growing, self.fine_pieces, 1)
+
+    @cached_property
+    def fine_pieces(self) -> IntArray:
+        """Number of equal pieces of each step whose norm is at most `NORM_OF_A_PIECE`, shape (n_steps,).
+
+        Coarser where that would make more than `MOST_PIECES` of them.
+
+        Raises
+        ------
+        StepOverflowError
+            A step is too stiff for any sensible number of pieces.
+        """
+        n = self.n_states
+        norms = np.max(np.sum(np.abs(self.scaled.matrices[:, :n, :n]), axis=1), axis=1, initial=0.0) * self.durations
+        limit = NORM_OF_A_PIECE
+        while np.sum(norms) > limit * MOST_PIECES and limit < 500:
+            limit *= 2
+        if np.sum(norms) > limit * 2 * MOST_PIECES:
+            worst = int(np.argmax(norms))
+            raise StepOverflowError(
+                f"step {worst + 1} of {self.durations[worst]:g} s is too stiff: the norm of A times its duration is "
+                f"{norms[worst]:.1e}, and this analysis takes pieces of {limit:g} at most. Are A and the durations in "
+                "the same units of time? Else drop the fastest states"
+            )
+        return np.maximum(np.ceil(norms / limit), 1).astype(np.int64)
+
+    @cached_property
+    def _maps(self) -> StepMaps:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return step_maps(self.scaled, self.durations)
 
     @cached_property
     def scaled(self) -> ScaledSteps:
@@ -257,8 +319,7 @@ class PeriodicSystem:
         StepOverflowError
             A step grows by more than double precision holds.
         """
-        with np.errstate(over="ignore", invalid="ignore"):
-            maps = step_maps(self.scaled, self.durations)
+        maps = self._maps
         if not np.isfinite(maps.maps).all():
             step = int(np.argwhere(~np.isfinite(maps.maps))[0][0])
             raise StepOverflowError(
