@@ -8,6 +8,9 @@ from ltvpneu.errors import (
     NonUniqueOrbitError,
     NoOrbitError,
     NotSettledError,
+    NotStabilizableError,
+    NotStableError,
+    SkippedStepError,
     StepOverflowError,
 )
 from ltvpneu.face.machine_file import load_machine
@@ -19,10 +22,23 @@ from ltvpneu.models.ltv import ltv_model
 from ltvpneu.models.machine import FlowPath, Machine
 from ltvpneu.models.nonlinear import DormandPrince, RungeKutta4, nonlinear_orbit, simulate
 from ltvpneu.periodic.floquet import Floquet, floquet, monodromy
+from ltvpneu.periodic.gramians import Gramians, gramians
+from ltvpneu.periodic.harmonic import frequency_response, harmonic_transfer
+from ltvpneu.periodic.hinf import hinf_norm
+from ltvpneu.periodic.interconnect import feedback, parallel, series, state_feedback
+from ltvpneu.periodic.iosys import to_iosys
+from ltvpneu.periodic.lifted import averaged, lifted
+from ltvpneu.periodic.lyapunov import lyapunov, lyapunov_factors
+from ltvpneu.periodic.norms import h2_norm, hankel_norm
 from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.product import ProductMultipliers, product_multipliers
 from ltvpneu.periodic.response import response
+from ltvpneu.periodic.riccati import Estimator, Regulator, kalman, lqr
+from ltvpneu.periodic.sensitivity import Gradient, Sensitivity, sensitivity
 from ltvpneu.periodic.steady import steady_state
+from ltvpneu.periodic.switching import SwitchAware
 from ltvpneu.periodic.system import PeriodicSystem, Step
+from ltvpneu.periodic.variation import Variation
 from ltvpneu.physics.cylinder import Cylinder
 from ltvpneu.physics.gas import Gas
 from ltvpneu.physics.load import Load
@@ -35,9 +51,12 @@ __all__ = [
     "ChamberVolumeError",
     "Cylinder",
     "DormandPrince",
+    "Estimator",
     "Floquet",
     "FlowPath",
     "Gas",
+    "Gradient",
+    "Gramians",
     "IntegrationError",
     "Linearization",
     "Load",
@@ -48,26 +67,53 @@ __all__ = [
     "NoOrbitError",
     "NonUniqueOrbitError",
     "NotSettledError",
+    "NotStabilizableError",
+    "NotStableError",
     "OnOffValve",
     "Orbit",
     "PeriodicSystem",
     "Port",
+    "ProductMultipliers",
     "Profile",
+    "Regulator",
     "RotaryValve",
     "RungeKutta4",
+    "Sensitivity",
+    "SkippedStepError",
     "Step",
     "StepOverflowError",
+    "SwitchAware",
+    "Variation",
     "Window",
     "amplitude_response",
+    "averaged",
+    "feedback",
     "floquet",
+    "frequency_response",
+    "gramians",
+    "h2_norm",
+    "hankel_norm",
+    "harmonic_transfer",
+    "hinf_norm",
+    "kalman",
+    "lifted",
     "linearize",
     "load_machine",
+    "lqr",
     "lti_model",
     "ltv_model",
+    "lyapunov",
+    "lyapunov_factors",
     "monodromy",
     "nonlinear_orbit",
+    "parallel",
     "plot",
+    "product_multipliers",
     "response",
+    "sensitivity",
+    "series",
     "simulate",
+    "state_feedback",
     "steady_state",
+    "to_iosys",
 ]

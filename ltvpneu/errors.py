@@ -78,6 +78,23 @@ class NotStabilizableError(LtvpneuError):
         self.multipliers = multipliers
 
 
+class SkippedStepError(LtvpneuError):
+    """A solver that knows nothing of switches jumped over a whole step of a periodic system.
+
+    Attributes
+    ----------
+    time : float
+        When the step began [s].
+    step : int
+        Which, from 0.
+    """
+
+    def __init__(self, message: str, *, time: float, step: int) -> None:
+        super().__init__(message)
+        self.time = time
+        self.step = step
+
+
 class NotSettledError(LtvpneuError):
     """A nonlinear simulation did not settle on a periodic orbit.
 

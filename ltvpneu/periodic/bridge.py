@@ -1,9 +1,11 @@
 """The one door to python-control, which is loaded on first use: it takes longer to load than most analyses to run."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from ltvpneu._arrays import ComplexArray, FloatArray
+import numpy as np
+
+from ltvpneu._arrays import ComplexArray, FloatArray, finite_array
 
 if TYPE_CHECKING:
     import control
@@ -78,3 +80,35 @@ def frequency_response(
     return control.FrequencyResponseData(
         values, omega.copy(), outputs=list(outputs), inputs=list(inputs), sysname=name, name=f"{name}_response"
     )
+
+
+Names = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
+"""Of states, inputs and outputs."""
+
+
+def matrices_of(operand: Any) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Names, str]:
+    """Return A, B, C, D, the names and the name of a time-invariant system or of a constant gain.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Neither, or a system in discrete time.
+    """
+    import control
+
+    if isinstance(operand, control.TransferFunction):
+        operand = control.ss(operand)
+    if isinstance(operand, control.StateSpace):
+        if operand.isdtime(strict=True):
+            raise ValueError(f"{operand.name}: found discrete time (dt = {operand.dt}), expected continuous time")
+        parts = [finite_array(letter, getattr(operand, letter)) for letter in "ABCD"]
+        names = (tuple(operand.state_labels), tuple(operand.input_labels), tuple(operand.output_labels))
+        return parts[0], parts[1], parts[2], parts[3], names, operand.name
+    if isinstance(operand, control.InputOutputSystem | str) or operand is None:
+        raise TypeError(
+            f"operand: found {type(operand).__name__}, expected a PeriodicSystem, a control.StateSpace or a gain matrix"
+        )
+    gain = finite_array("gain", np.atleast_2d(operand), (None, None))
+    p, m = gain.shape
+    names = ((), tuple(f"u{i + 1}" for i in range(m)), tuple(f"y{i + 1}" for i in range(p)))
+    return np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), gain, names, "gain"

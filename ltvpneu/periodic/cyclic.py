@@ -80,9 +80,7 @@ def reduced(factors: Array, forcing: Array) -> Reduced:
             before = turned[:, :, :n] @ np.concatenate([left[upper], rhs[upper]], axis=2)
             after = turned[:, :, n:] @ np.concatenate([right[lower], rhs[lower]], axis=2)
             both = before[:, :, n:] + after[:, :, n:]
-            rounds.append(
-                Eliminated(R=R[:, :n], left=before[:, :n, :n], right=after[:, :n, :n], rhs=both[:, :n])
-            )
+            rounds.append(Eliminated(R=R[:, :n], left=before[:, :n, :n], right=after[:, :n, :n], rhs=both[:, :n]))
             left = np.concatenate([before[:, n:, :n], left[odd]])
             right = np.concatenate([after[:, n:, :n], right[odd]])
             rhs = np.concatenate([both[:, n:], rhs[odd]])
@@ -103,7 +101,7 @@ def solve_cyclic(factors: Array, forcing: Array) -> Array:
 
 
 def solve_cyclic_adjoint(factors: Array, forcing: Array) -> Array:
-    """Return y_0 ... y_{N-1} of y_k = F_k' y_{k+1} + h_k with y_N = y_0, shape (N, n, m); transposed, not conjugated."""
+    """Return y_0 ... y_{N-1} of y_k = F_k^T y_{k+1} + h_k with y_N = y_0, shape (N, n, m)."""
     # In reversed order with x_j = y_{N-j}: x_{j+1} = F_{N-1-j}' x_j + h_{N-1-j}.
     backward = solve_cyclic(np.swapaxes(factors[::-1], 1, 2), forcing[::-1])
     return np.roll(backward[::-1], 1, axis=0)

@@ -11,7 +11,7 @@ for the step's fastest oscillation and decay, and then solved for.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast, final
+from typing import NamedTuple, cast, final
 
 import numpy as np
 from scipy.optimize import brentq
@@ -19,6 +19,14 @@ from scipy.optimize import brentq
 from ltvpneu._arrays import FloatArray
 from ltvpneu.periodic.propagate import exponentials
 from ltvpneu.periodic.system import PeriodicSystem
+
+
+class Extreme(NamedTuple):
+    """A signal's least or greatest value, the step it falls in, and how long after that step's start [s]."""
+
+    value: float
+    step: int
+    time: float
 
 
 @final
@@ -31,11 +39,12 @@ class ExponentialTrajectory:
     """State at the start of each step, shape (n_steps, n)."""
 
     @cached_property
-    def _starts(self) -> FloatArray:
+    def starts(self) -> FloatArray:
+        """Balanced augmented states at the starts of the steps, shape (n_steps, n + 1)."""
         return self.system.scaled.augmented(self.step_states)
 
     @cached_property
-    def _rows(self) -> FloatArray:
+    def rows(self) -> FloatArray:
         """Signals over the balanced augmented state, shape (n_steps, n_signals, n + 1)."""
         system, scales = self.system, self.system.scaled.scales
         n = system.n_states
@@ -50,12 +59,12 @@ class ExponentialTrajectory:
         """Return the signals at times within the period, shape (n_signals, n_times); at a switch, just after it."""
         step, local = self.system.step_at(times)
         maps = exponentials(self.system.scaled.matrices[step] * local[:, None, None])
-        states = np.einsum("tij,tj->ti", maps, self._starts[step])
-        return np.einsum("tsi,ti->st", self._rows[step], states)
+        states = np.einsum("tij,tj->ti", maps, self.starts[step])
+        return np.einsum("tsi,ti->st", self.rows[step], states)
 
     def step_means(self) -> FloatArray:
         """Return the mean of every signal over every step, shape (n_steps, n_signals); (17) with erratum E10."""
-        return (self._rows @ self._mean_states[:, :, None])[:, :, 0]
+        return (self.rows @ self._mean_states[:, :, None])[:, :, 0]
 
     def step_state_means(self) -> FloatArray:
         """Return the mean of every state over every step, shape (n_steps, n)."""
@@ -66,12 +75,12 @@ class ExponentialTrajectory:
         """Means over the steps of the balanced augmented state, shape (n_steps, n + 1)."""
         durations = self.system.durations
         integrals = step_integrals(self.system.scaled.matrices, durations)
-        sums = (integrals @ self._starts[:, :, None])[:, :, 0]
+        sums = (integrals @ self.starts[:, :, None])[:, :, 0]
         if durations.all():
             return sums / durations[:, None]
         # A step of no duration has its start for a mean.
         long = durations[:, None] > 0
-        return np.where(long, sums / np.where(long, durations[:, None], 1.0), self._starts)
+        return np.where(long, sums / np.where(long, durations[:, None], 1.0), self.starts)
 
     @cached_property
     def _means(self) -> FloatArray:
@@ -84,18 +93,26 @@ class ExponentialTrajectory:
 
     def extremes(self, signal: int) -> tuple[float, float]:
         """Return the least and the greatest value of a signal."""
-        values = [self._samples[:, :, signal].ravel()]
+        low, high = self.extreme_points(signal)
+        return low.value, high.value
+
+    def extreme_points(self, signal: int) -> "tuple[Extreme, Extreme]":
+        """Return where a signal is least and greatest."""
+        sampled = self._samples[:, :, signal]
+        places: list[Extreme] = []
+        for flat in (np.argmin(sampled), np.argmax(sampled)):
+            m, j = (int(i) for i in np.unravel_index(flat, sampled.shape))
+            places.append(Extreme(float(sampled[m, j]), m, float(self.system.durations[m] * self._shares[j])))
         slopes = self._slope_rows(signal)
         changed = np.einsum("mi,mji->mj", slopes, self._sampled_states)
         for step, left in np.argwhere(changed[:, :-1] * changed[:, 1:] < 0):
-            values.append(np.array([self._value_at_root(step, left, signal, slopes[step])]))
-        found = np.concatenate(values)
-        return float(found.min()), float(found.max())
+            places.append(self._at_root(int(step), int(left), signal, slopes[step]))
+        return min(places, key=lambda place: place.value), max(places, key=lambda place: place.value)
 
     def _slope_rows(self, signal: int) -> FloatArray:
-        return np.einsum("mi,mij->mj", self._rows[:, signal], self.system.scaled.matrices)
+        return np.einsum("mi,mij->mj", self.rows[:, signal], self.system.scaled.matrices)
 
-    def _value_at_root(self, step: int, left: int, signal: int, slope: FloatArray) -> float:
+    def _at_root(self, step: int, left: int, signal: int, slope: FloatArray) -> "Extreme":
         matrix, duration = self.system.scaled.matrices[step], self.system.durations[step]
         start = self._sampled_states[step, left]
 
@@ -109,10 +126,11 @@ class ExponentialTrajectory:
 
         ends = slope_at(0.0), slope_at(span)
         # The sample beyond was computed another way: at a root on the boundary rounding may leave no change of sign.
+        since = float(duration * self._shares[left])
         if ends[0] * ends[1] >= 0:
-            return float(self._rows[step, signal] @ start)
+            return Extreme(float(self.rows[step, signal] @ start), step, since)
         root = cast(float, brentq(slope_at, 0.0, span, xtol=1e-15 * duration))
-        return float(self._rows[step, signal] @ state(root))
+        return Extreme(float(self.rows[step, signal] @ state(root)), step, since + root)
 
     @cached_property
     def _shares(self) -> FloatArray:
@@ -134,11 +152,11 @@ class ExponentialTrajectory:
         """Balanced augmented states at the sampled shares of all steps, shape (n_steps, n_shares, n + 1)."""
         local = self.system.durations[:, None] * self._shares
         maps = exponentials(self.system.scaled.matrices[:, None] * local[:, :, None, None])
-        return np.einsum("mjik,mk->mji", maps, self._starts)
+        return np.einsum("mjik,mk->mji", maps, self.starts)
 
     @cached_property
     def _samples(self) -> FloatArray:
-        return np.einsum("msi,mji->mjs", self._rows, self._sampled_states)
+        return np.einsum("msi,mji->mjs", self.rows, self._sampled_states)
 
 
 def step_integrals(matrices: FloatArray, durations: FloatArray) -> FloatArray:

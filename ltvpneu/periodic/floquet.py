@@ -88,8 +88,25 @@ class Floquet:
 
     @cached_property
     def margin(self) -> float:
-        """Distance from the unit circle within which the verdict is "marginal" [-]; covers the multipliers' own error."""
-        return max(self.least_margin, 10 * _relative_error(self))
+        """Distance from the unit circle within which the verdict is "marginal" [-].
+
+        It covers the largest multipliers' own error.
+        """
+        return max(self.least_margin, 10 * self._relative_error())
+
+    def _relative_error(self) -> float:
+        """Bound the rounding error of the multipliers nearest to the unit circle, relative to the largest.
+
+        A simple eigenvalue moves by its condition number times the backward error of each factor; near a defective one,
+        where that number has no bound, by the n-th root of the backward error.
+        """
+        n, n_pieces = self.system.n_states, int(np.sum(self.system.fine_pieces))
+        if not np.isfinite(self.log_moduli[0]):
+            return 0.0
+        backward = np.finfo(float).eps * n * math.sqrt(n_pieces)
+        near = np.flatnonzero(self.log_moduli >= self.log_moduli[0] - math.log(2))
+        conditions = [_condition(*self._vectors(int(i))) for i in near if self.angles[i] >= 0]
+        return min(max(conditions) * backward, backward ** (1.0 / n))
 
     @property
     def is_stable(self) -> bool:
@@ -220,21 +237,6 @@ def _factors(system: PeriodicSystem) -> FloatArray:
         return system.maps.maps[:, :n, :n]
     matrices = system.scaled.matrices[:, :n, :n] * (system.durations / pieces)[:, None, None]
     return np.repeat(exponentials(matrices), pieces, axis=0)
-
-
-def _relative_error(found: Floquet) -> float:
-    """Bound the rounding error of the multipliers nearest to the unit circle, relative to the largest.
-
-    A simple eigenvalue moves by its condition number times the backward error of each factor; near a defective one,
-    where that number has no bound, by the n-th root of the backward error.
-    """
-    n, n_pieces = found.system.n_states, int(np.sum(found.system.fine_pieces))
-    if not np.isfinite(found.log_moduli[0]):
-        return 0.0
-    backward = np.finfo(float).eps * n * math.sqrt(n_pieces)
-    near = np.flatnonzero(found.log_moduli >= found.log_moduli[0] - math.log(2))
-    conditions = [_condition(*found._vectors(int(i))) for i in near if found.angles[i] >= 0]
-    return min(max(conditions) * backward, backward ** (1.0 / n))
 
 
 def _condition(p: ComplexArray, q: ComplexArray) -> float:

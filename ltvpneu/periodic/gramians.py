@@ -1,7 +1,7 @@
 """Controllability and observability Gramians of a stable periodic system.
 
-P' = A P + P A' + B B' forward and -Q' = A' Q + Q A + C' C backward, both periodic. The square roots of the eigenvalues of
-P Q at one instant are the Hankel singular values there: gains from past inputs to future outputs across that instant.
+P' = A P + P A' + B B' forward and -Q' = A' Q + Q A + C' C backward, both periodic. The square roots of the eigenvalues
+of P Q at one instant are the Hankel singular values there: gains from past inputs to future outputs.
 """
 
 from dataclasses import dataclass
@@ -120,4 +120,5 @@ def _squared(factors: FloatArray) -> FloatArray:
 
 
 def _hankel(P: FloatArray, Q: FloatArray) -> FloatArray:
-    return np.linalg.svd(np.swapaxes(Q, 1, 2) @ P, compute_uv=False)[:, : P.shape[1]]
+    values = np.asarray(np.linalg.svd(np.swapaxes(Q, 1, 2) @ P, compute_uv=False), dtype=np.float64)
+    return values[:, : P.shape[1]]

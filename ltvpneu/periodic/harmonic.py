@@ -125,8 +125,8 @@ def _periodic_shape(system: PeriodicSystem, shifted: ComplexArray, B: FloatArray
     if n and values[-1] <= 1e-13 * max(np.linalg.norm(one.first, 2), np.linalg.norm(one.last, 2)):
         exponents = ", ".join(f"{x:.6g}" for x in floquet(system).exponents)
         raise ValueError(
-            f"s: found {s:.6g}, a characteristic exponent but for multiples of j 2 pi / T (they are {exponents}), where "
-            "the response to e^(s t) grows without bound; move s off it"
+            f"s: found {s:.6g}, a characteristic exponent but for multiples of j 2 pi / T (they are {exponents}), where"
+            " the response to e^(s t) grows without bound; move s off it"
         )
     start = np.linalg.solve(gap, one.rhs)
     return one.all_from(start, start)[:-1][np.cumsum(pieces) - pieces]

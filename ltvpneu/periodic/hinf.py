@@ -54,8 +54,11 @@ def hinf_norm(system: PeriodicSystem, *, rtol: float = 1e-13) -> float:
     expect_system(system)
     if not floquet(system).is_stable:
         return math.inf
-    feedthrough = float(np.max(np.linalg.norm(system.D, ord=2, axis=(1, 2)), initial=0.0, where=system.durations > 0)) \
-        if min(system.D.shape) > 0 else 0.0
+    feedthrough = (
+        float(np.max(np.linalg.norm(system.D, ord=2, axis=(1, 2)), initial=0.0, where=system.durations > 0))
+        if min(system.D.shape) > 0
+        else 0.0
+    )
     low = max(feedthrough * (1 + 1e-12), float(np.max(gramians(system).hankel_singular_values, initial=0.0)))
     if low == 0.0:
         return 0.0
@@ -72,7 +75,7 @@ def _refined(hamiltonian: "_Hamiltonian", low: float, high: float, rtol: float) 
         if high / low - 1 < 1e-3:
             below, above = hamiltonian.meeting(low), hamiltonian.meeting(high)
             if below < 0 < above:
-                root = cast(float, brentq(hamiltonian.meeting, low, high, xtol=rtol * low, rtol=8.9e-16))
+                root = cast(float, brentq(hamiltonian.meeting, low, high, xtol=rtol * low))
                 # One peak may hide another until the bracket is narrow: the root must part what lies beside it.
                 step = max(rtol, 1e-10)
                 if hamiltonian.meeting(root * (1 - step)) < 0 < hamiltonian.meeting(root * (1 + step)):
@@ -133,4 +136,4 @@ def _widest(angles: FloatArray) -> float:
     gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
     either = gaps[0::2], gaps[1::2]
     intervals = min(either, key=lambda some: float(np.sum(some)) if len(some) else math.inf)
-    return -float(np.max(intervals) / 2) ** 2
+    return -(float(np.max(intervals) / 2) ** 2)

@@ -22,8 +22,8 @@ def lifted(system: PeriodicSystem, *, stacked: bool = False) -> "control.StateSp
     ----------
     system : PeriodicSystem
     stacked : bool
-        False: inputs constant over the period, outputs at its start. True: one value of each input a step, held over it,
-        and every output at the start of every step, named "u1[1]", "u1[2]", ... and "y1[1]", ...
+        False: inputs constant over the period, outputs at its start. True: one value of each input a step, held over
+        it, and every output at the start of every step, named "u1[1]", "u1[2]", ... and "y1[1]", ...
 
     Returns
     -------

@@ -1,13 +1,13 @@
 r"""Periodic Lyapunov equations in square-root form.
 
-Forward, P' = A P + P A' + W with P(T) = P(0); backward (adjoint), -P' = A' P + P A + W. The solution is kept as a factor,
-P = L L', from the first integral on, so that it is positive semidefinite by construction and its small directions are
-as accurate as the large ones.
+Forward, P' = A P + P A' + W with P(T) = P(0); backward (adjoint), -P' = A' P + P A + W. The solution is kept as a
+factor, P = L L', from the first integral on, so that it is positive semidefinite by construction and its small
+directions are as accurate as the large ones.
 
-Over a step, V(T) = integral of e^{A s} W e^{A' s} is exact to rounding: over an h with norm(A) h <= 1/2 by Gauss's formula
-with eight points, whose error is then below 1e-20 of W h [Davis1984]_ (2.7.12), and from h to T by doubling,
-V(2 h) = V(h) + e^{A h} V(h) e^{A' h}, in which nothing cancels however stiff A is. The same doubling, over whole periods,
-sums the series of the discrete Lyapunov equation of the monodromy matrix.
+Over a step, V(T) = integral of e^{A s} W e^{A' s} is exact to rounding: over an h with norm(A) h <= 1/2 by Gauss's
+formula with eight points, whose error is then below 1e-20 of W h [Davis1984]_ (2.7.12), and from h to T by doubling,
+V(2 h) = V(h) + e^{A h} V(h) e^{A' h}, in which nothing cancels however stiff A is. The same doubling, over whole
+periods, sums the series of the discrete Lyapunov equation of the monodromy matrix.
 
 .. [Davis1984] P. J. Davis, P. Rabinowitz, "Methods of Numerical Integration", 2nd ed., Academic Press 1984.
 """
@@ -70,9 +70,7 @@ def step_gramians(A: FloatArray, B: FloatArray, C: FloatArray, durations: FloatA
             step = exponentials(A * (h * 2.0**level)[:, None, None])
             energy = 2 * energy + np.sum((np.swapaxes(observability, 1, 2) @ controllability) ** 2, axis=(1, 2))
             controllability = compressed(np.concatenate([controllability, step @ controllability], axis=2))
-            observability = compressed(
-                np.concatenate([observability, np.swapaxes(step, 1, 2) @ observability], axis=2)
-            )
+            observability = compressed(np.concatenate([observability, np.swapaxes(step, 1, 2) @ observability], axis=2))
     return StepGramians(controllability=controllability, observability=observability, energy=energy)
 
 
@@ -105,7 +103,7 @@ def periodic_factors(maps: FloatArray, gains: FloatArray) -> FloatArray:
 
 def _sum(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return L with L L' = a a' + b b'."""
-    return np.linalg.qr(np.concatenate([a, b], axis=1).T, mode="r").T
+    return compressed(np.concatenate([a, b], axis=1)[None])[0]
 
 
 def from_reversed(values: FloatArray) -> FloatArray:

@@ -70,7 +70,7 @@ def hankel_norm(system: PeriodicSystem) -> float:
     best = int(np.argmax(values))
     # The largest value inside a step is smooth; a grid point's neighbours bracket it.
     for left, right in ((best - 1, best), (best, best + 1)):
-        if 0 <= left and right < len(times):
+        if left >= 0 and right < len(times):
             values = np.append(values, _peak(found, times[left], times[right]))
     return float(np.max(values))
 
@@ -79,7 +79,9 @@ def _peak(found: Gramians, left: float, right: float) -> float:
     def negative(time: float) -> float:
         return -float(found.hankel_singular_values_at([time])[0, 0])
 
-    return -cast(float, minimize_scalar(negative, bounds=(left, right), method="bounded", options={"xatol": 1e-9 * right}).fun)
+    return -cast(
+        float, minimize_scalar(negative, bounds=(left, right), method="bounded", options={"xatol": 1e-9 * right}).fun
+    )
 
 
 def _sample_times(system: PeriodicSystem) -> FloatArray:
@@ -87,5 +89,8 @@ def _sample_times(system: PeriodicSystem) -> FloatArray:
     swings = np.max(np.abs(np.linalg.eigvals(system.scaled.matrices[:, :-1, :-1]).imag), axis=1) * system.durations
     parts = 8 + np.minimum(np.ceil(8 * swings / np.pi), 2000).astype(int)
     return np.concatenate(
-        [start + T * np.arange(n) / n for start, T, n in zip(system.switching_times, system.durations, parts, strict=False)]
+        [
+            start + T * np.arange(n) / n
+            for start, T, n in zip(system.switching_times, system.durations, parts, strict=False)
+        ]
     )

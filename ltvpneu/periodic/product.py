@@ -10,6 +10,7 @@ other than zero are those of the smaller product V' ... U.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import final
 
 import numpy as np
@@ -112,7 +113,7 @@ def log_multipliers(factors: FloatArray) -> tuple[FloatArray, FloatArray]:
         zeros = n - smaller.shape[1]
         return np.append(log_moduli + log_scale, np.full(zeros, -np.inf)), np.append(angles, np.zeros(zeros))
     log_moduli, angles = np.empty(n), np.empty(n)
-    for start, stop in zip(cuts[:-1], cuts[1:], strict=True):
+    for start, stop in pairwise(cuts):
         block = slice(start, stop)
         log_moduli[block], angles[block] = _of_block(triangles[:, block, block], coupling[block, block])
     return log_moduli + log_scale, angles
@@ -136,7 +137,7 @@ def _of_block(triangles: FloatArray, coupling: FloatArray) -> tuple[FloatArray, 
 
 
 def _conjugate_pairs(log_moduli: FloatArray, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Make eigenvalues of a real matrix, computed in complex numbers, real or conjugate to each other to the last bit."""
+    """Make eigenvalues of a real matrix, computed in complex numbers, real or conjugate to the last bit."""
     log_moduli, angles = log_moduli.copy(), angles.copy()
     values = np.exp(log_moduli - np.max(log_moduli, initial=-np.inf, where=np.isfinite(log_moduli)) + 1j * angles)
     left = sorted(range(len(values)), key=lambda i: abs(values[i].imag))

@@ -13,14 +13,13 @@ problem whose cost is still the integral over time, exactly.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_discrete_lyapunov
 
-from ltvpneu._arrays import ComplexArray, FloatArray, finite_array, read_only
+from ltvpneu._arrays import ComplexArray, FloatArray, finite_array, read_only, solved
 from ltvpneu.errors import NotStabilizableError
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.gramians import balanced_matrices
@@ -63,15 +62,13 @@ class Regulator:
     def gain(self, t: ArrayLike) -> FloatArray:
         """Return K at any time or times [s], shape (m, n) for one time, (n_times, m, n) for several."""
         times = np.atleast_1d(finite_array("t", t))
-        step, local = self.system.step_at(np.mod(times, self.system.period))
+        step, _ = self.system.step_at(np.mod(times, self.system.period))
         if self.is_sampled:
             found = self.step_gains[step]
         else:
             X = self.cost_to_go_at(times)
             B, weights = self.system.B[step], self.weights
-            found = np.linalg.solve(
-                weights.R[step], np.swapaxes(B, 1, 2) @ X + np.swapaxes(weights.S[step], 1, 2)
-            )
+            found = solved(weights.R[step], np.swapaxes(B, 1, 2) @ X + np.swapaxes(weights.S[step], 1, 2))
         return found[0] if np.ndim(t) == 0 else found
 
     def cost_to_go_at(self, times: ArrayLike) -> FloatArray:
@@ -117,7 +114,7 @@ class Estimator:
             found = self.step_gains[step]
         else:
             C = self.system.C[step]
-            found = np.swapaxes(np.linalg.solve(self.noise[1][step], C @ self.covariance_at(times)), 1, 2)
+            found = np.swapaxes(solved(self.noise[1][step], C @ self.covariance_at(times)), 1, 2)
         return found[0] if np.ndim(t) == 0 else found
 
     def covariance_at(self, times: ArrayLike) -> FloatArray:
@@ -182,7 +179,7 @@ def lqr(
         residual=solution.residual,
     )
     reached = np.swapaxes(system.B, 1, 2) @ found.cost_to_go + np.swapaxes(weights.S, 1, 2)
-    return replace(found, step_gains=read_only(np.linalg.solve(weights.R, reached)))
+    return replace(found, step_gains=read_only(solved(weights.R, reached)))
 
 
 def kalman(system: PeriodicSystem, Qn: ArrayLike, Rn: ArrayLike, *, sampled: bool = False) -> Estimator:
@@ -220,11 +217,10 @@ def kalman(system: PeriodicSystem, Qn: ArrayLike, Rn: ArrayLike, *, sampled: boo
         _definite("Rn", symmetric("Rn", Rn, N, len(system.outputs))),
     )
     A, G, Q = _dual_parts(system, noise)
+    # Where sampled, a step of no duration takes no measurement of its own.
+    long = system.durations[:, None, None] > 0
     if sampled:
-        long = system.durations[:, None, None] > 0
-        gained = step_gramians(
-            np.swapaxes(A, 1, 2), _root(Q), np.zeros((N, 0, n)), system.durations
-        ).controllability
+        gained = step_gramians(np.swapaxes(A, 1, 2), _root(Q), np.zeros((N, 0, n)), system.durations).controllability
         maps = system.maps.maps[:, :n, :n]
         steps = Scattering(E=np.swapaxes(maps, 1, 2), G=np.where(long, G, 0.0), H=gained @ np.swapaxes(gained, 1, 2))
     else:
@@ -235,7 +231,7 @@ def kalman(system: PeriodicSystem, Qn: ArrayLike, Rn: ArrayLike, *, sampled: boo
     covariance = from_reversed(solution.X) * scales[:, None] * scales
     seen = system.C @ covariance
     spread = noise[1] + (seen @ np.swapaxes(system.C, 1, 2) if sampled else 0.0)
-    gains = np.swapaxes(np.linalg.solve(spread, seen), 1, 2)
+    gains = np.swapaxes(solved(spread, seen), 1, 2)
     return Estimator(
         system=system,
         noise=noise,
@@ -268,7 +264,7 @@ def _solved(steps: Scattering, system: PeriodicSystem, needed: str) -> _Solution
         own = floquet(system).multipliers
         unstable = ", ".join(f"{x:.6g}" for x in own if abs(x) >= 1 - 1e-9)
         raise NotStabilizableError(
-            f"no stabilizing periodic solution: the system is not {needed}, or a mode on the unit circle is left alone. "
+            f"no stabilizing periodic solution: the system is not {needed}, or leaves a mode on the unit circle alone. "
             f"Multipliers of the open loop on or outside it: {unstable or 'none'}; at least one of them is "
             + ("not reached by any input, or not seen by Q" if needed == "stabilizable" else "not seen by any output"),
             multipliers=own,
@@ -303,7 +299,8 @@ def _newton(total: Scattering, X: FloatArray) -> FloatArray | None:
         loop = total.closed_loop(X)
         if _radius(loop) >= 1:
             return None
-        before, X = X, solve_discrete_lyapunov(loop.T, total.H + loop.T @ X @ total.G @ X @ loop)
+        before, weight = X, total.H + loop.T @ X @ total.G @ X @ loop
+        X = np.asarray(solve_discrete_lyapunov(loop.T, weight), dtype=np.float64)
         X = (X + X.T) / 2
         if np.max(np.abs(X - before)) <= 1e-14 * np.max(np.abs(X)):
             break
@@ -335,15 +332,15 @@ def _sampled_regulator(system: PeriodicSystem, weights: Weights) -> Regulator:
     F, Gamma = maps[:, :n, :n], maps[:, :n, n:]
     # A step of no duration costs nothing and moves nothing: any R will do there.
     R = np.where(system.durations[:, None, None] > 0, paid[:, n:, n:], np.eye(m))
-    from_inputs = np.linalg.solve(R, np.swapaxes(Gamma, 1, 2))
-    from_states = np.linalg.solve(R, paid[:, n:, :n])
+    from_inputs = solved(R, np.swapaxes(Gamma, 1, 2))
+    from_states = solved(R, paid[:, n:, :n])
     steps = Scattering(
         E=F - Gamma @ from_states, G=Gamma @ from_inputs, H=paid[:, :n, :n] - paid[:, :n, n:] @ from_states
     )
     solution = _solved(steps, system, "stabilizable")
     after = np.roll(solution.X, -1, axis=0)
     pulled = np.swapaxes(Gamma, 1, 2) @ after
-    gains = np.linalg.solve(R + pulled @ Gamma, pulled @ F + paid[:, n:, :n])
+    gains = solved(R + pulled @ Gamma, pulled @ F + paid[:, n:, :n])
     return Regulator(
         system=system,
         weights=weights,
@@ -362,7 +359,11 @@ def _hamiltonian_parts(system: PeriodicSystem, weights: Weights) -> tuple[FloatA
     S = weights.S * scales[:, None]
     Bt, St = np.swapaxes(B, 1, 2), np.swapaxes(S, 1, 2)
     Q = weights.Q * scales[:, None] * scales
-    return A - B @ np.linalg.solve(weights.R, St), B @ np.linalg.solve(weights.R, Bt), Q - S @ np.linalg.solve(weights.R, St)
+    return (
+        A - B @ solved(weights.R, St),
+        B @ solved(weights.R, Bt),
+        Q - S @ solved(weights.R, St),
+    )
 
 
 def _dual_parts(
@@ -371,7 +372,7 @@ def _dual_parts(
     """Return balanced A', C' Rn^-1 C and Qn of each step."""
     A, _, C = balanced_matrices(system)
     scales = system.scaled.scales
-    G = np.swapaxes(C, 1, 2) @ np.linalg.solve(noise[1], C)
+    G = np.swapaxes(C, 1, 2) @ solved(noise[1], C)
     return np.swapaxes(A, 1, 2), G, noise[0] / scales[:, None] / scales
 
 

@@ -4,13 +4,13 @@ A linear-quadratic step relates the states x and costates p = X x at its ends by
 
     x_1 = E x_0 - G p_1,    p_0 = H x_0 + E' p_1        G, H symmetric, positive semidefinite
 
-and steps in sequence combine by the star product [Redheffer1962]_. The Hamiltonian's exponential holds the same in growing
-and decaying parts, which long or stiff steps tear apart; here nothing grows. Equal steps combine by doubling, both within
-a step and over infinitely many periods, where H tends to the periodic solution X quadratically [Chu2004]_. Composed over
-a horizon, X_0 = H + E' X_1 (I + G X_1)^-1 E.
+and steps in sequence combine by the star product [Redheffer1962]_. The Hamiltonian's exponential holds the same in
+growing and decaying parts, which long or stiff steps tear apart; here nothing grows. Equal steps combine by doubling,
+both within a step and over infinitely many periods, where H tends to the periodic solution X quadratically
+[Chu2004]_. Composed over a horizon, X_0 = H + E' X_1 (I + G X_1)^-1 E.
 
-.. [Redheffer1962] R. Redheffer, "On the relation of transmission-line theory to scattering and transfer", J. Math. Phys.
-   41, 1962.
+.. [Redheffer1962] R. Redheffer, "On the relation of transmission-line theory to scattering and transfer", J. Math.
+   Phys. 41, 1962.
 .. [Chu2004] E. K.-W. Chu, H.-Y. Fan, W.-W. Lin, C.-S. Wang, "Structure-preserving algorithms for periodic discrete-time
    algebraic Riccati equations", Int. J. Control 77(8), 2004.
 """
@@ -21,7 +21,7 @@ from typing import final
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray
+from ltvpneu._arrays import FloatArray, solved
 from ltvpneu.periodic.propagate import exponentials
 
 HAMILTONIAN_STEP = 0.5
@@ -40,7 +40,7 @@ class Scattering:
     def then(self, later: "Scattering") -> "Scattering":
         """Return both in sequence, the star product."""
         n = self.E.shape[-1]
-        weakened = np.linalg.inv(np.eye(n) + self.G @ later.H)
+        weakened: FloatArray = np.asarray(np.linalg.inv(np.eye(n) + self.G @ later.H), dtype=np.float64)
         through = weakened @ self.E
         return Scattering(
             E=later.E @ through,
@@ -50,7 +50,7 @@ class Scattering:
 
     def closed_loop(self, X: FloatArray) -> FloatArray:
         """Return the map of the state under the optimal control that costs X after the end."""
-        return np.linalg.solve(np.eye(self.E.shape[-1]) + self.G @ X, self.E)
+        return solved(np.eye(self.E.shape[-1]) + self.G @ X, self.E)
 
     def cost_before(self, X: FloatArray) -> FloatArray:
         """Return the optimal cost at the start from that at the end."""
@@ -74,7 +74,7 @@ def continuous_steps(A: FloatArray, G: FloatArray, Q: FloatArray, durations: Flo
     largest = float(np.max(np.max(np.sum(np.abs(H), axis=1), axis=1) * durations))
     doublings = max(0, math.ceil(math.log2(largest / HAMILTONIAN_STEP))) if largest > 0 else 0
     maps = exponentials(H * (durations / 2.0**doublings)[:, None, None])
-    onward = np.linalg.inv(maps[:, n:, n:])
+    onward: FloatArray = np.asarray(np.linalg.inv(maps[:, n:, n:]), dtype=np.float64)
     steps = Scattering(
         E=_transposed(onward),
         G=_even(-maps[:, :n, n:] @ onward) / unit,

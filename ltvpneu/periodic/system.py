@@ -85,7 +85,7 @@ def expect_system(system: object) -> None:
 
 
 @final
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PeriodicSystem:
     """A periodic, piecewise-constant system.
 
@@ -150,6 +150,12 @@ class PeriodicSystem:
             names: tuple[str, ...] = getattr(self, kind)
             if len(set(names)) != len(names):
                 raise ValueError(f"{kind}: found {names}, expected each name once")
+        if CONSTANT_INPUT in self.inputs:
+            raise ValueError(f"inputs: found {CONSTANT_INPUT!r}, which is kept for the input that carries r and q")
+
+    def __repr__(self) -> str:
+        ports = f"{self.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
+        return f"<PeriodicSystem {self.name}: {self.n_steps} steps in {self.period:.6g} s, {ports}>"
 
     @classmethod
     def from_matrices(
@@ -238,7 +244,7 @@ class PeriodicSystem:
         return read_only(np.concatenate([[0.0], np.cumsum(self.durations)]))
 
     def step_at(self, times: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the step in force at times within the period [s], and the time since it began; at a switch the new one."""
+        """Return the step in force at times within the period [s], at a switch the new one, and the time since then."""
         step = np.clip(np.searchsorted(self.switching_times, times, side="right") - 1, 0, self.n_steps - 1)
         return step, np.clip(times - self.switching_times[step], 0.0, self.durations[step])
 
@@ -268,7 +274,7 @@ class PeriodicSystem:
 
     @cached_property
     def growing_pieces(self) -> IntArray:
-        """Number of equal pieces to take each step in, shape (n_steps,): one where the state grows by less than `GROWTH`."""
+        """Number of equal pieces to take each step in, shape (n_steps,); one unless the state grows by `GROWTH`."""
         grown = np.max(np.abs(self._maps.maps[:, :-1, :-1]), axis=(1, 2), initial=0.0)
         growing = ~(grown <= GROWTH)
         if not growing.any():

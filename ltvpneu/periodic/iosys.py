@@ -1,0 +1,42 @@
+"""`to_iosys`: a periodic system among python-control's blocks."""
+
+from typing import TYPE_CHECKING
+
+from ltvpneu.periodic.system import PeriodicSystem, expect_system
+
+if TYPE_CHECKING:
+    import control
+
+
+def to_iosys(system: PeriodicSystem, *, name: str | None = None) -> "control.NonlinearIOSystem":
+    """Return the system as a `control.NonlinearIOSystem`, for `control.interconnect` and simulation.
+
+    Its inputs are the system's own, in their own units: B u is as given to python-control, not around the system's
+    levels; r and q are built in. The period begins at t = 0.
+
+    Parameters
+    ----------
+    system : PeriodicSystem
+    name : str, optional
+        The system's by default.
+
+    Returns
+    -------
+    control.NonlinearIOSystem
+        Simulate it with `solve_ivp_method=ltvpneu.SwitchAware`, which stops at every switch. Under any other solver it
+        raises `SkippedStepError` if a whole step was jumped over. `linearize` is exact, for the step in force at `t`.
+
+    Examples
+    --------
+    >>> import control as ct
+    >>> import ltvpneu as lp
+    >>> pulse = lp.PeriodicSystem.from_matrices([[[-1.0]]] * 2, [[100.0], [0.0]], [0.01, 0.99])
+    >>> block = lp.to_iosys(pulse)
+    >>> found = ct.input_output_response(block, [0, 1], initial_state=[0], solve_ivp_method=lp.SwitchAware)
+    >>> print(f"{found.outputs[-1]:.9f}")
+    0.369727643
+    """
+    from ltvpneu.periodic.block import PeriodicIOSystem
+
+    expect_system(system)
+    return PeriodicIOSystem(system, name or system.name)
