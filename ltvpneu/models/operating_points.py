@@ -77,7 +77,7 @@ def held_inside(
     low, high = turn.quasi_static.min(axis=0), turn.quasi_static.max(axis=0)
     # The velocity has no quasi-static range.
     low[1], high[1] = -np.inf, np.inf
-    used = np.clip(asked, low, high)
+    used = np.minimum(np.maximum(asked, low), high)
     supply, exhaust = machine.supply_pressure, machine.exhaust_pressure
     sources = source_ranges(turn.stairs.areas, machine.arrays)
     floor = np.where(sources[:, :, 0] == exhaust, exhaust * (1 + least_distance), -np.inf)
@@ -86,7 +86,9 @@ def held_inside(
     # Between sources too near each other there is no room, so the point is taken beyond both.
     used[:, 2:] = np.where(floor <= ceiling, held, supply * (1 + least_distance))
     # Rounding is not holding back.
-    moved = np.argwhere(np.abs(used - asked) > 1e-9 * machine.state_scales)
+    moved = np.abs(used - asked) > 1e-9 * machine.state_scales
+    if not moved.any():
+        return used, ()
     return used, tuple(
         HeldBack(
             step=int(step),
@@ -94,5 +96,5 @@ def held_inside(
             asked=float(asked[step, column]),
             used=float(used[step, column]),
         )
-        for step, column in moved
+        for step, column in np.argwhere(moved)
     )

@@ -2,7 +2,8 @@ r"""The cyclic system of (14), z_{k+1} = F_k z_k + g_k with z_N = z_0, solved in
 
 Two neighbouring equations share one unknown; an orthogonal transformation of the two rows takes it out of the second
 [Wright1992]_. Half of the unknowns go at once, and after log2 N rounds one equation A z_0 + B z_N = g is left. Nothing
-is ever multiplied round the period, so growth within it, or an unstable orbit, costs no accuracy.
+is ever multiplied round the period, so growth within it, or an unstable orbit, costs no accuracy. Only a few steps
+whose products stay moderate are multiplied after all, for speed.
 
 .. [Wright1992] S. J. Wright, "Stable parallel algorithms for two-point boundary value problems", SIAM J. Sci. Stat.
    Comput. 13(3), 1992.
@@ -18,6 +19,9 @@ from ltvpneu.periodic.propagate import one_blas_thread
 
 Array = NDArray[Any]
 """Real or complex."""
+FEW_STEPS = 16
+MODERATE = 30.0
+"""Largest entry of a product of steps that may be formed: it costs no more than a digit or two."""
 
 
 @final
@@ -43,9 +47,16 @@ class Reduced:
     rhs: Array
     """(n, m)"""
     rounds: tuple[Eliminated, ...]
+    steps: tuple[Array, Array] | None = None
+    """Factors and forcing of steps that were multiplied instead."""
 
     def all_from(self, start: Array, end: Array) -> Array:
         """Return z_0 ... z_N, shape (N + 1, n, m), from those at the ends."""
+        if self.steps is not None:
+            states = [start]
+            for factor, forcing in zip(*self.steps, strict=True):
+                states.append(factor @ states[-1] + forcing)
+            return np.array(states)
         known = np.stack([start, end])
         for gone in reversed(self.rounds):
             pairs = len(gone.R)
@@ -68,6 +79,13 @@ def reduced(factors: Array, forcing: Array) -> Reduced:
         m right-hand sides at once.
     """
     n = factors.shape[1]
+    if len(factors) <= FEW_STEPS:
+        total, gained, growth = np.eye(n), np.zeros(forcing.shape[1:]), 0.0
+        for factor, more in zip(factors, forcing, strict=True):
+            total, gained = factor @ total, factor @ gained + more
+            growth = max(growth, np.abs(total).max(initial=0.0))
+        if growth <= MODERATE:
+            return Reduced(first=-total, last=np.eye(n), rhs=gained, rounds=(), steps=(factors, forcing))
     left, rhs = -factors, forcing
     right: Array = np.broadcast_to(np.eye(n), factors.shape)
     rounds: list[Eliminated] = []

@@ -1,12 +1,12 @@
 r"""A trajectory of a piecewise-constant system: on each step a sum of exponentials, exact at every time.
 
-The mean comes from the integral of the augmented exponential,
+The mean over a step comes from the exponential with the start as one more column,
 
-.. math:: \exp\left(\begin{bmatrix} M & I \\ 0 & 0 \end{bmatrix} T\right)
-          = \begin{bmatrix} e^{M T} & \int_0^T e^{M t} dt \\ 0 & I \end{bmatrix}
+.. math:: \exp\begin{bmatrix} M T & z \\ 0 & 0 \end{bmatrix}
+          = \begin{bmatrix} e^{M T} & \int_0^1 e^{M T s} z\, ds \\ 0 & 1 \end{bmatrix}
 
-and extremes lie at step boundaries or at roots of a signal's derivative, which are bracketed on a grid fine enough
-for the step's fastest oscillation and decay, and then solved for.
+which is the start itself for a step of no duration. Extremes lie at step boundaries or at roots of a signal's
+derivative, which are bracketed on a grid fine enough for the step's fastest oscillation and decay, and then solved for.
 """
 
 from dataclasses import dataclass
@@ -73,14 +73,14 @@ class ExponentialTrajectory:
     @cached_property
     def _mean_states(self) -> FloatArray:
         """Means over the steps of the balanced augmented state, shape (n_steps, n + 1)."""
-        durations = self.system.durations
-        integrals = step_integrals(self.system.scaled.matrices, durations)
-        sums = (integrals @ self.starts[:, :, None])[:, :, 0]
-        if durations.all():
-            return sums / durations[:, None]
-        # A step of no duration has its start for a mean.
-        long = durations[:, None] > 0
-        return np.where(long, sums / np.where(long, durations[:, None], 1.0), self.starts)
+        durations, starts = self.system.durations, self.starts
+        N, k = starts.shape
+        # The start as one more column, of about the size of one, so that it does not spoil the scaling.
+        size = float(np.abs(starts).max())
+        block = np.zeros((N, k + 1, k + 1))
+        block[:, :k, :k] = self.system.scaled.matrices * durations[:, None, None]
+        block[:, :k, k] = starts / size
+        return exponentials(block)[:, :k, k] * size
 
     @cached_property
     def _means(self) -> FloatArray:

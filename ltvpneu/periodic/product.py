@@ -10,14 +10,13 @@ other than zero are those of the smaller product V' ... U.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import ComplexArray, FloatArray, finite_array, read_only
-from ltvpneu.periodic.schur import EPS, orthogonal_iteration, triangularize
+from ltvpneu._arrays import BoolArray, ComplexArray, FloatArray, finite_array, read_only
+from ltvpneu.periodic.schur import EPS, log_eigenvalues
 
 
 @final
@@ -70,19 +69,16 @@ def product_multipliers(factors: Sequence[ArrayLike] | FloatArray) -> ProductMul
 
 
 def from_logs(log_moduli: FloatArray, angles: FloatArray) -> ProductMultipliers:
-    """Return multipliers from logarithms and angles, put in order."""
-    # Moduli equal to rounding count as equal, so that a conjugate pair stands together, upper half first.
-    order = np.argsort(-log_moduli, kind="stable")
+    """Return multipliers from logarithms and angles, put in order; pairs have equal logarithms and opposite angles."""
+    order = np.lexsort((-np.sin(angles), -log_moduli))
     log_moduli, angles = log_moduli[order], angles[order]
-    for i in range(len(order) - 1):
-        if log_moduli[i] == log_moduli[i + 1] and angles[i] == -angles[i + 1] < 0:
-            angles[i], angles[i + 1] = angles[i + 1], angles[i]
-    moduli = _exp(log_moduli)
-    # Part by part: an infinite modulus times a sine of zero is no number.
-    with np.errstate(invalid="ignore", under="ignore"):
-        real = np.where(np.cos(angles) == 0, 0.0, moduli * np.cos(angles))
-        imag = np.where((angles == 0) | (angles == np.pi), 0.0, moduli * np.sin(angles))
-    return ProductMultipliers(multipliers=real + 1j * imag, log_moduli=read_only(log_moduli), angles=read_only(angles))
+    moduli, sines = _exp(log_moduli), np.sin(angles)
+    # A real one exactly so; and part by part, since an infinite modulus times zero is no number.
+    sines[angles == np.pi] = 0.0
+    multipliers = np.zeros(len(order), dtype=np.complex128)
+    np.multiply(moduli, np.cos(angles), out=multipliers.real)
+    np.multiply(moduli, sines, out=multipliers.imag, where=sines != 0)
+    return ProductMultipliers(multipliers=multipliers, log_moduli=read_only(log_moduli), angles=read_only(angles))
 
 
 def _exp(logs: FloatArray) -> FloatArray:
@@ -105,62 +101,22 @@ def log_multipliers(factors: FloatArray) -> tuple[FloatArray, FloatArray]:
     exponents = np.frexp(sizes)[1]
     scaled = np.ascontiguousarray(np.ldexp(factors, -exponents[:, None, None]))
     log_scale = float(np.sum(exponents)) * np.log(2)
-    triangles, coupling, cuts = orthogonal_iteration(scaled)
-    deficient = _first_deficient(scaled, triangles)
+    log_moduli, angles, suspicious, converged = log_eigenvalues(scaled)
+    deficient = _first_deficient(scaled, suspicious) if suspicious.any() else None
     if deficient is not None:
         smaller = _without_null_space(np.roll(scaled, -deficient, axis=0))
         log_moduli, angles = log_multipliers(smaller)
         zeros = n - smaller.shape[1]
         return np.append(log_moduli + log_scale, np.full(zeros, -np.inf)), np.append(angles, np.zeros(zeros))
-    log_moduli, angles = np.empty(n), np.empty(n)
-    for start, stop in pairwise(cuts):
-        block = slice(start, stop)
-        log_moduli[block], angles[block] = _of_block(triangles[:, block, block], coupling[block, block])
+    if not converged:
+        raise np.linalg.LinAlgError(f"the periodic QR iteration did not converge on {len(factors)} factors of size {n}")
     return log_moduli + log_scale, angles
 
 
-def _of_block(triangles: FloatArray, coupling: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return logarithms and angles of the eigenvalues of coupling @ R_{N-1} @ ... @ R_0."""
-    if len(coupling) == 1:
-        entries = triangles[:, 0, 0]
-        negative = np.count_nonzero(entries < 0) + (coupling[0, 0] < 0)
-        return np.sum(np.log(np.abs(entries)), keepdims=True), np.array([np.pi if negative % 2 else 0.0])
-    factors = triangles.astype(np.complex128)
-    factors[-1] = coupling @ triangles[-1]
-    if not triangularize(factors):
-        raise np.linalg.LinAlgError(f"the periodic QR iteration did not converge on a block of size {len(coupling)}")
-    diagonals = np.diagonal(factors, axis1=1, axis2=2)
-    with np.errstate(divide="ignore"):
-        log_moduli = np.sum(np.log(np.abs(diagonals)), axis=0)
-    directions = np.prod(diagonals / np.where(diagonals == 0, 1.0, np.abs(diagonals)), axis=0)
-    return _conjugate_pairs(log_moduli, np.angle(directions))
-
-
-def _conjugate_pairs(log_moduli: FloatArray, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Make eigenvalues of a real matrix, computed in complex numbers, real or conjugate to the last bit."""
-    log_moduli, angles = log_moduli.copy(), angles.copy()
-    values = np.exp(log_moduli - np.max(log_moduli, initial=-np.inf, where=np.isfinite(log_moduli)) + 1j * angles)
-    left = sorted(range(len(values)), key=lambda i: abs(values[i].imag))
-    while left:
-        i = left.pop()
-        distances = [abs(values[i] - values[j].conjugate()) for j in left]
-        if not distances or min(distances) >= 2 * abs(values[i].imag):
-            angles[i] = 0.0 if values[i].real >= 0 else np.pi
-            continue
-        j = left.pop(int(np.argmin(distances)))
-        angle = (abs(angles[i]) + abs(angles[j])) / 2
-        log_moduli[i] = log_moduli[j] = (log_moduli[i] + log_moduli[j]) / 2
-        angles[i], angles[j] = angle, -angle
-    return log_moduli, angles
-
-
-def _first_deficient(factors: FloatArray, triangles: FloatArray) -> int | None:
+def _first_deficient(factors: FloatArray, suspicious: BoolArray) -> int | None:
     """Return the first factor that is singular to rounding however its rows and columns are scaled, or None."""
-    n = factors.shape[1]
-    diagonals = np.abs(np.diagonal(triangles, axis1=1, axis2=2))
-    suspicious = (diagonals <= n * EPS * np.linalg.norm(triangles, axis=1)).any(axis=1)
     for k in np.flatnonzero(suspicious):
-        if _rank(factors[k])[0] < n:
+        if _rank(factors[k])[0] < factors.shape[1]:
             return int(k)
     return None
 

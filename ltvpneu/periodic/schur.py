@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from ltvpneu._arrays import ComplexArray, FloatArray
+from ltvpneu._arrays import BoolArray, ComplexArray, FloatArray
 from ltvpneu._compiled import compiled
 
 EPS = float(np.finfo(float).eps)
@@ -26,7 +26,7 @@ MOST_ITERATIONS = 60
 
 
 @compiled
-def orthogonal_sweep(factors: FloatArray, basis: FloatArray, triangles: FloatArray) -> FloatArray:
+def _orthogonal_sweep(factors: FloatArray, basis: FloatArray, triangles: FloatArray) -> FloatArray:
     """Write R_k of F_k Q_k = Q_{k+1} R_k into `triangles` and return Q_N; shapes (N, n, n), (n, n)."""
     for k in range(factors.shape[0]):
         orthogonal, triangles[k] = np.linalg.qr(np.dot(factors[k], basis))
@@ -34,26 +34,29 @@ def orthogonal_sweep(factors: FloatArray, basis: FloatArray, triangles: FloatArr
     return basis
 
 
-def splits(coupling: FloatArray) -> list[int]:
-    """Return where Q_0' Q_N is block upper triangular to rounding: starts of the diagonal blocks, and n."""
-    n = len(coupling)
-    negligible = 4 * n * EPS
-    cuts = [j for j in range(1, n) if np.max(np.abs(coupling[j:, :j])) <= negligible]
-    return [0, *cuts, n]
+@compiled
+def _splits(coupling: FloatArray) -> BoolArray:
+    """Return where Q_0' Q_N is block upper triangular to rounding: whether a diagonal block starts, (n + 1,)."""
+    n = coupling.shape[0]
+    cuts = np.ones(n + 1, dtype=np.bool_)
+    for cut in range(1, n):
+        cuts[cut] = np.max(np.abs(coupling[cut:, :cut])) <= 4 * n * EPS
+    return cuts
 
 
-def orthogonal_iteration(factors: FloatArray) -> tuple[FloatArray, FloatArray, list[int]]:
-    """Return R_k (N, n, n), the coupling Q_0' Q_N (n, n), and the cuts between the blocks that have separated."""
+@compiled
+def _orthogonal_iteration(factors: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return R_k (N, n, n), the coupling Q_0' Q_N (n, n), and where the blocks that have separated start."""
     n = factors.shape[1]
     basis, triangles = np.eye(n), np.empty_like(factors)
-    cuts, unchanged = [0, n], 0
-    coupling = np.eye(n)
+    coupling, cuts, unchanged = np.eye(n), np.zeros(n + 1, dtype=np.bool_), 0
     for _ in range(MOST_SWEEPS):
-        following = orthogonal_sweep(factors, basis, triangles)
-        coupling = basis.T @ following
-        before, cuts = cuts, splits(coupling)
-        unchanged = unchanged + 1 if cuts == before else 0
-        if len(cuts) == n + 1 or unchanged == 2:
+        following = _orthogonal_sweep(factors, basis, triangles)
+        coupling = np.dot(np.ascontiguousarray(basis.T), following)
+        found = _splits(coupling)
+        unchanged = unchanged + 1 if np.all(found == cuts) else 0
+        cuts = found
+        if np.all(cuts) or unchanged == 2:
             break
         basis = following
     return triangles, coupling, cuts
@@ -172,7 +175,7 @@ def _shifted_step(factors: ComplexArray, first: int, last: int, exceptional: boo
 
 
 @compiled
-def triangularize(factors: ComplexArray) -> bool:
+def _triangularize(factors: ComplexArray) -> bool:
     """Make all factors upper triangular in place, as far as their diagonals go; False if that does not converge.
 
     Parameters
@@ -198,3 +201,87 @@ def triangularize(factors: ComplexArray) -> bool:
             return False
         _shifted_step(factors, first, last, iterations % 10 == 0)
     return True
+
+
+@compiled
+def _pair_conjugates(log_moduli: FloatArray, angles: FloatArray) -> None:
+    """Make eigenvalues of a real matrix, computed in complex numbers, real or conjugate to the last bit, in place."""
+    values: ComplexArray = np.exp(log_moduli - np.max(log_moduli) + 1j * angles)
+    left = np.ones(len(values), dtype=np.bool_)
+    while np.any(left):
+        i = int(np.argmax(np.where(left, np.abs(values.imag), -1.0)))
+        left[i] = False
+        # Its own mirror image is as near as the real axis is.
+        nearest, partner = 2 * abs(values[i].imag), -1
+        for other in range(len(values)):
+            distance = abs(values[i] - values[other].conjugate())
+            if left[other] and distance < nearest:
+                nearest, partner = distance, other
+        if partner < 0:
+            angles[i] = 0.0 if values[i].real >= 0 else np.pi
+            continue
+        left[partner] = False
+        angle = (abs(angles[i]) + abs(angles[partner])) / 2
+        angles[i], angles[partner] = angle, -angle
+        log_moduli[i] = log_moduli[partner] = (log_moduli[i] + log_moduli[partner]) / 2
+
+
+@compiled
+def _of_block(triangles: FloatArray, coupling: FloatArray, log_moduli: FloatArray, angles: FloatArray) -> bool:
+    """Write logarithms and angles of the eigenvalues of coupling @ R_{N-1} @ ... @ R_0; False if not converged."""
+    N, n = triangles.shape[0], triangles.shape[1]
+    if n == 1:
+        entries = triangles[:, 0, 0]
+        log_moduli[0] = np.sum(np.log(np.abs(entries)))
+        negative = np.sum(entries < 0) + (coupling[0, 0] < 0)
+        angles[0] = np.pi if negative % 2 == 1 else 0.0
+        return True
+    factors = triangles.astype(np.complex128)
+    factors[N - 1] = np.dot(np.ascontiguousarray(coupling), np.ascontiguousarray(triangles[N - 1]))
+    if not _triangularize(factors):
+        return False
+    for i in range(n):
+        log, direction = 0.0, 1 + 0j
+        for k in range(N):
+            entry = factors[k, i, i]
+            size = abs(entry)
+            log += math.log(size) if size > 0 else -np.inf
+            direction *= entry / size if size > 0 else 1 + 0j
+        log_moduli[i], angles[i] = log, math.atan2(direction.imag, direction.real)
+    _pair_conjugates(log_moduli, angles)
+    return True
+
+
+@compiled
+def _suspicious(triangles: FloatArray) -> BoolArray:
+    """Return which R_k have a diagonal entry that may be rounding: small against its column."""
+    N, n = triangles.shape[0], triangles.shape[1]
+    found = np.zeros(N, dtype=np.bool_)
+    for k in range(N):
+        for j in range(n):
+            size = 0.0
+            for i in range(j + 1):
+                size += triangles[k, i, j] ** 2
+            found[k] |= abs(triangles[k, j, j]) <= n * EPS * math.sqrt(size)
+    return found
+
+
+@compiled
+def log_eigenvalues(factors: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray, bool]:
+    """Return logarithms and angles of the eigenvalues of F_{N-1} ... F_0, maybe singular factors, and convergence.
+
+    Parameters
+    ----------
+    factors : ndarray, shape (N, n, n)
+        Contiguous, entries about one in size.
+    """
+    n = factors.shape[1]
+    triangles, coupling, cuts = _orthogonal_iteration(factors)
+    log_moduli, angles, converged = np.empty(n), np.empty(n), True
+    start = 0
+    for stop in range(1, n + 1):
+        if cuts[stop]:
+            block = slice(start, stop)
+            converged &= _of_block(triangles[:, block, block], coupling[block, block], log_moduli[block], angles[block])
+            start = stop
+    return log_moduli, angles, _suspicious(triangles), converged

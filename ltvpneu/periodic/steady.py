@@ -17,6 +17,8 @@ from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
+TINY = float(np.finfo(float).tiny)
+
 
 def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Orbit:
     """Return the periodic steady state, eq. (14).
@@ -53,20 +55,21 @@ def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Or
     expect_system(system)
     finer, starts = _finer(system)
     states = _periodic_states(finer, singular_below)
-    steps = finer.maps.steps
-    reached = steps.physical((finer.maps.maps @ steps.augmented(states)[:, :, None])[:, :, 0])
-    scales = np.maximum(np.max(np.abs(states), axis=0), np.finfo(float).tiny)
+    trajectory = ExponentialTrajectory(system=finer, step_states=states)
+    reached = finer.scaled.physical((finer.maps.maps @ trajectory.starts[:, :, None])[:, :, 0])
+    following = np.concatenate([states[1:], states[:1]])
+    scales = np.maximum(np.abs(states).max(axis=0), TINY)
     return Orbit(
         system_period=system.period,
         n_periods=1,
         step_times=system.switching_times,
         step_states=states[starts],
         step_labels=tuple(f"step {m + 1}" for m in range(system.n_steps)),
-        trajectory=ExponentialTrajectory(system=finer, step_states=states),
+        trajectory=trajectory,
         states=system.states,
         outputs=system.outputs,
         is_unique=True,
-        residual=float(np.max(np.abs(reached - np.roll(states, -1, axis=0)) / scales)),
+        residual=float((np.abs(reached - following) / scales).max(initial=0.0)),
         n_simulated=0,
         name=system.name,
     )
@@ -81,15 +84,25 @@ def periodic_states(system: PeriodicSystem, singular_below: float = 1e-12) -> Fl
 def _finer(system: PeriodicSystem) -> tuple[PeriodicSystem, IntArray]:
     """Return the system with growing steps split, and the pieces at which its own steps start."""
     pieces = system.growing_pieces
-    starts = np.cumsum(pieces) - pieces
-    return system.split(pieces), starts
+    finer = system.split(pieces)
+    return finer, np.arange(system.n_steps) if finer is system else np.cumsum(pieces) - pieces
 
 
 def _periodic_states(system: PeriodicSystem, singular_below: float) -> FloatArray:
     maps, n = system.maps, system.n_states
     one = reduced(maps.maps[:, :n, :n], maps.maps[:, :n, n:] * maps.steps.unit)
-    left, values, right = np.linalg.svd(one.first + one.last)
-    null = values <= singular_below * max(np.linalg.norm(one.first, 2), np.linalg.norm(one.last, 2))
+    gap = one.first + one.last
+    size = np.abs(one.first).max(initial=0.0) + np.abs(one.last).max(initial=0.0)
+    try:
+        inverse = np.linalg.inv(gap)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(gap, np.inf)
+    # No singular value of n x n entries is below one over n times the inverse's largest.
+    if n * np.abs(inverse).max(initial=0.0) * size * singular_below < 1:
+        start = inverse @ one.rhs
+        return one.all_from(start, start)[:-1, :, 0] * maps.steps.scales
+    left, values, right = np.linalg.svd(gap)
+    null = values <= singular_below * size
     if null.any():
         _raise_singular(system, one, _Null(left, values, right, null))
     start = right.T @ ((left.T @ one.rhs) / values[:, None])

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import FloatArray, IntArray, finite_array, read_only, whole
+from ltvpneu._arrays import FloatArray, IntArray, finite_array, read_only
 from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step_maps
@@ -264,10 +264,12 @@ class PeriodicSystem:
 
     def split(self, pieces: Sequence[int] | IntArray) -> "PeriodicSystem":
         """Return the system with each step split into that many equal ones, shape (n_steps,); it behaves the same."""
-        counts = np.asarray([whole("pieces", count) for count in pieces])
+        counts = np.asarray(pieces)
+        if counts.dtype.kind != "i" or counts.min(initial=1) < 1:
+            raise ValueError(f"pieces: found {counts}, expected whole numbers, 1 or more")
         if counts.size != self.n_steps:
             raise ValueError(f"pieces: found {counts.size} numbers, expected one for each of the {self.n_steps} steps")
-        if np.all(counts == 1):
+        if counts.max() == 1:
             return self
         repeated = {field: np.repeat(getattr(self, field), counts, axis=0) for field in ("A", "B", "r", "C", "D", "q")}
         return replace(self, durations=np.repeat(self.durations / counts, counts), **repeated)
@@ -275,10 +277,10 @@ class PeriodicSystem:
     @cached_property
     def growing_pieces(self) -> IntArray:
         """Number of equal pieces to take each step in, shape (n_steps,); one unless the state grows by `GROWTH`."""
-        grown = np.max(np.abs(self._maps.maps[:, :-1, :-1]), axis=(1, 2), initial=0.0)
-        growing = ~(grown <= GROWTH)
-        if not growing.any():
+        sizes = np.abs(self._maps.maps[:, :-1, :-1])
+        if sizes.max(initial=0.0) <= GROWTH:
             return np.ones(self.n_steps, dtype=np.int64)
+        growing = ~(sizes.max(axis=(1, 2), initial=0.0) <= GROWTH)
         return np.where(growing, self.fine_pieces, 1)
 
     @cached_property
@@ -293,11 +295,11 @@ class PeriodicSystem:
             A step is too stiff for any sensible number of pieces.
         """
         n = self.n_states
-        norms = np.max(np.sum(np.abs(self.scaled.matrices[:, :n, :n]), axis=1), axis=1, initial=0.0) * self.durations
-        limit = NORM_OF_A_PIECE
-        while np.sum(norms) > limit * MOST_PIECES and limit < 500:
+        norms = np.abs(self.scaled.matrices[:, :n, :n]).sum(axis=1).max(axis=1, initial=0.0) * self.durations
+        total, limit = float(norms.sum()), NORM_OF_A_PIECE
+        while total > limit * MOST_PIECES and limit < 500:
             limit *= 2
-        if np.sum(norms) > limit * 2 * MOST_PIECES:
+        if total > limit * 2 * MOST_PIECES:
             worst = int(np.argmax(norms))
             raise StepOverflowError(
                 f"step {worst + 1} of {self.durations[worst]:g} s is too stiff: the norm of A times its duration is "

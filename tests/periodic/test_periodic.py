@@ -12,19 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import ltvpneu as lp
-
-entries = st.floats(-2, 2).map(lambda x: round(x, 6))
-
-
-@st.composite
-def systems(draw, n: int = 3, most_steps: int = 4, damped: bool = True) -> lp.PeriodicSystem:
-    N = draw(st.integers(1, most_steps))
-    A = draw(arrays(float, (N, n, n), elements=entries))
-    if damped:
-        A = A - 5 * np.eye(n)
-    f = draw(arrays(float, (N, n), elements=entries))
-    durations = draw(arrays(float, (N,), elements=st.floats(0.05, 1.5)))
-    return lp.PeriodicSystem.from_matrices(list(A), list(f), durations)
+from tests.periodic.strategies import systems
 
 
 def plain_monodromy(system: lp.PeriodicSystem) -> np.ndarray:
@@ -213,11 +201,21 @@ def test_systems_that_grow_beyond_all_bounds_are_unstable_not_marginal(growth):
     assert lp.floquet(many).log_moduli[0] == pytest.approx(1800, rel=1e-12)
 
 
-def test_a_step_beyond_double_precision_is_a_named_error():
+def test_a_map_beyond_double_precision_is_a_named_error_but_the_orbit_and_the_multipliers_are_had():
     system = lp.PeriodicSystem.from_matrices([np.diag([2000.0, -2000.0])], [[1.0, 1.0]], [1.0])
-    for function in (lp.steady_state, lp.monodromy):
+    for function in (lp.monodromy, lp.lifted):
         with pytest.raises(lp.StepOverflowError, match="step 1 of 1 s grows by more than double precision"):
             function(system)
+    # A^-1 f, unstable or not.
+    assert lp.steady_state(system).initial_state == pytest.approx([-1 / 2000, 1 / 2000], rel=1e-12)
+    assert lp.steady_state(system).mean("z1") == pytest.approx(-1 / 2000, rel=1e-12)
+    assert lp.floquet(system).log_moduli == pytest.approx([2000, -2000], rel=1e-12)
+
+
+def test_a_step_stiff_beyond_sense_is_a_named_error():
+    system = lp.PeriodicSystem.from_matrices([np.diag([-1.0, -1e12])], [[1.0, 1.0]], [1.0])
+    with pytest.raises(lp.StepOverflowError, match=r"too stiff: the norm of A times its duration is 1\.0e\+12"):
+        lp.floquet(system)
 
 
 def test_a_slow_period_of_a_fast_oscillation_has_its_extremes_quickly():
