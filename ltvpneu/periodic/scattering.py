@@ -48,6 +48,12 @@ class Scattering:
             H=_even(self.H + _transposed(self.E) @ later.H @ through),
         )
 
+    def is_bounded_with(self, later: "Scattering") -> bool:
+        """Return whether both in sequence stay finite where G is negative: I + G H has positive eigenvalues only."""
+        product = self.G @ later.H
+        # Similar to a symmetric matrix, so its eigenvalues are real.
+        return bool(np.isfinite(product).all() and (np.linalg.eigvals(product).real > -1).all())
+
     def closed_loop(self, X: FloatArray) -> FloatArray:
         """Return the map of the state under the optimal control that costs X after the end."""
         return solved(np.eye(self.E.shape[-1]) + self.G @ X, self.E)
@@ -65,6 +71,24 @@ def continuous_steps(A: FloatArray, G: FloatArray, Q: FloatArray, durations: Flo
     A, G, Q : ndarray, shape (N, n, n)
     durations : ndarray, shape (N,)
     """
+    steps, doublings = _short_steps(A, G, Q, durations)
+    for _ in range(doublings):
+        steps = steps.then(steps)
+    return steps
+
+
+def bounded_steps(A: FloatArray, G: FloatArray, Q: FloatArray, durations: FloatArray) -> Scattering | None:
+    """Return the same for G negative semidefinite, or None if a step is longer than the costs stay finite."""
+    steps, doublings = _short_steps(A, G, Q, durations)
+    for _ in range(doublings):
+        if not steps.is_bounded_with(steps):
+            return None
+        steps = steps.then(steps)
+    return steps
+
+
+def _short_steps(A: FloatArray, G: FloatArray, Q: FloatArray, durations: FloatArray) -> tuple[Scattering, int]:
+    """Return a 2^k-th of each step, short enough to be taken apart directly, and k."""
     n = A.shape[1]
     # Costates in a unit that makes both couplings alike.
     unit = math.sqrt(float(np.max(np.abs(Q))) / float(np.max(np.abs(G)))) if np.any(G) and np.any(Q) else 1.0
@@ -80,9 +104,7 @@ def continuous_steps(A: FloatArray, G: FloatArray, Q: FloatArray, durations: Flo
         G=_even(-maps[:, :n, n:] @ onward) / unit,
         H=_even(-onward @ maps[:, n:, :n]) * unit,
     )
-    for _ in range(doublings):
-        steps = steps.then(steps)
-    return steps
+    return steps, doublings
 
 
 def over_period(steps: Scattering) -> Scattering:

@@ -33,7 +33,7 @@ def test_a_split_lti_system_has_the_lti_answers():
         np.testing.assert_allclose(found.controllability[k], P, rtol=1e-12)
         np.testing.assert_allclose(found.observability[k], Q, rtol=1e-12)
     assert lp.h2_norm(system) == pytest.approx(ct.norm(lti, 2), rel=1e-12)
-    assert lp.hinf_norm(system) == pytest.approx(ct.norm(lti, np.inf), rel=1e-5)
+    assert lp.hinf_norm(system) == pytest.approx(ct.norm(lti, "inf"), rel=1e-5)
     peak = max(np.linalg.norm(lti(1j * w), 2) for w in np.linspace(0, 3, 3001))
     assert lp.hinf_norm(system) == pytest.approx(peak, rel=1e-6)
     assert lp.hankel_norm(system) == pytest.approx(math.sqrt(np.linalg.eigvals(P @ Q).real.max()), rel=1e-12)
@@ -80,18 +80,18 @@ def test_norms_do_not_depend_on_the_units_of_the_states_and_bound_each_other(sys
     assert lp.hankel_norm(system) <= lp.hinf_norm(system) * (1 + 1e-9)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(systems(ports=(2, 2)))
 def test_controllability_and_observability_give_the_same_h2_norm(system):
     """The mean of tr C P C' is that of tr B' Q B."""
-    times = (np.arange(4000) + 0.5) / 4000 * system.period
+    times = (np.arange(1000) + 0.5) / 1000 * system.period
     step, _ = system.step_at(times)
     found = lp.gramians(system)
     forward = np.einsum("tpi,tij,tpj->t", system.C[step], found.controllability_at(times), system.C[step])
     backward = np.einsum("tim,tij,tjm->t", system.B[step], found.observability_at(times), system.B[step])
     # The midpoint rule jumps at switches.
-    assert np.mean(forward) == pytest.approx(lp.h2_norm(system) ** 2, rel=3e-3)
-    assert np.mean(backward) == pytest.approx(lp.h2_norm(system) ** 2, rel=3e-3)
+    assert np.mean(forward) == pytest.approx(lp.h2_norm(system) ** 2, rel=1e-2)
+    assert np.mean(backward) == pytest.approx(lp.h2_norm(system) ** 2, rel=1e-2)
 
 
 # Twins
@@ -128,7 +128,7 @@ def test_the_h2_norm_equals_quadrature_of_the_impulse_responses():
     system = lossy()
     nodes, weights = np.polynomial.legendre.leggauss(12)
     total = 0.0
-    for k, (start, duration) in enumerate(zip(system.switching_times, system.durations, strict=False)):
+    for k, duration in enumerate(system.durations):
         for x, weight in zip(nodes, weights, strict=True):
             local = (x + 1) / 2 * duration
             z = expm(system.A[k] * (duration - local)) @ system.B[k]
@@ -153,17 +153,17 @@ def test_the_hinf_norm_is_the_limit_of_fast_sampling(D):
         system.A, system.f, system.durations, B=system.B, C=system.C, D=[[[D]], [[0.5 * D]]]
     )
     errors = []
-    for rate in (20, 40):
+    for rate in (10, 20):
         finer = system.split([2 * rate, 3 * rate])
         lifted = lp.lifted(finer, stacked=True)
         A, B, C, feed = lifted.A, lifted.B[:, :-1], lifted.C, lifted.D[:, :-1]
         gains = [
             np.linalg.norm(feed + C @ np.linalg.solve(np.exp(1j * x) * np.eye(2) - A, B), 2)
-            for x in np.linspace(0, np.pi, 721)
+            for x in np.linspace(0, np.pi, 361)
         ]
         errors.append(max(gains) / lp.hinf_norm(system) - 1)
     # Sampling outputs at the start of each piece is of first order; what is left of it halves.
-    assert abs(2 * errors[1] - errors[0]) < 2e-4
+    assert abs(2 * errors[1] - errors[0]) < 1e-3
 
 
 def test_the_hinf_norm_of_a_feedthrough_alone_is_its_gain():
