@@ -10,6 +10,9 @@ from ltvpneu._arrays import ComplexArray, FloatArray, finite_array
 if TYPE_CHECKING:
     import control
 
+CONSTANT_INPUT = "one"
+"""Name of the input, of level 1, that carries affine terms."""
+
 
 def state_space(
     matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
@@ -21,9 +24,13 @@ def state_space(
     import control
 
     states, inputs, outputs = names
+    A, B, C, D = matrices
+    if not inputs:
+        # python-control knows no system without inputs: one that does nothing stands in.
+        B, D, inputs = np.zeros((len(A), 1)), np.zeros((len(C), 1)), (CONSTANT_INPUT,)
     # Copies: python-control's arrays are writable, and ours are not to be.
     return control.StateSpace(
-        *(matrix.copy() for matrix in matrices),
+        *(matrix.copy() for matrix in (A, B, C, D)),
         dt,
         states=list(states),
         inputs=list(inputs),

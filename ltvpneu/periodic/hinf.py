@@ -7,8 +7,8 @@ For gamma above every sigma(D) and a stable system, gamma exceeds the norm just 
 stays finite over every horizon: the periodic Riccati equation of bounded-real form has a stabilizing solution
 [Colaneri2000]_. Its steps are those of a regulator with -B B' / gamma^2 in place of B R^-1 B', so the scattering form
 (`scattering`) composes them, doubling within steps and over periods; the horizon on which the game breaks shows as an
-eigenvalue of I + G H that is not above zero. Nothing grows, however stiff a step is, and a horizon of 2^60 periods takes
-60 rounds: bisection on gamma.
+eigenvalue of I + G H that is not above zero. Nothing grows, however stiff a step is, and a horizon of 2^60 periods
+takes 60 rounds: bisection on gamma.
 
 .. [Colaneri2000] P. Colaneri, "Continuous-time periodic systems in H2 and Hinf", Kybernetika 36, 2000.
 """
@@ -52,7 +52,9 @@ def hinf_norm(system: PeriodicSystem, *, rtol: float = 1e-14) -> float:
         return math.inf
     feedthrough = 0.0
     if min(system.D.shape) > 0:
-        feedthrough = float(np.max(np.linalg.norm(system.D, ord=2, axis=(1, 2)), where=system.durations > 0, initial=0.0))
+        feedthrough = float(
+            np.max(np.linalg.norm(system.D, ord=2, axis=(1, 2)), where=system.durations > 0, initial=0.0)
+        )
     # Both are at most the norm; at the feedthrough itself the game is singular.
     low = max(feedthrough * (1 + 1e-13), float(np.max(gramians(system).hankel_singular_values, initial=0.0)))
     if low == 0.0:

@@ -6,8 +6,9 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.periodic import bridge
+from ltvpneu.periodic.bridge import CONSTANT_INPUT
 from ltvpneu.periodic.propagate import exponentials
-from ltvpneu.periodic.system import CONSTANT_INPUT, PeriodicSystem, expect_system
+from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 if TYPE_CHECKING:
     import control

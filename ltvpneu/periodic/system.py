@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import FloatArray, IntArray, finite_array, read_only
 from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic import bridge
+from ltvpneu.periodic.bridge import CONSTANT_INPUT
 from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step_maps
 
 if TYPE_CHECKING:
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 
 Matrices = Sequence[ArrayLike] | FloatArray
 """One matrix or vector a step: a list of them, or a stack."""
-
-CONSTANT_INPUT = "one"
-"""Name of the input, of level 1, through which the remainder enters a step's `control.StateSpace`."""
 
 
 @final
