@@ -178,12 +178,11 @@ def failure_lines(cases: Sequence[Case]) -> list[str]:
 
 
 def multipliers_text(found: Floquet) -> str:
-    """Return the multipliers, a pair of complex ones as one, and what drowns in rounding as a bound."""
+    """Return the multipliers, a pair of complex ones as one, and as a power of ten what is beyond double precision."""
     parts: list[str] = []
-    floor = 1e-13 * found.spectral_radius
-    for value in found.multipliers:
-        if abs(value) < floor:
-            parts.append(f"< {floor:.0e}")
+    for value, log_modulus in zip(found.multipliers, found.log_moduli, strict=True):
+        if value == 0 or np.isinf(value):
+            parts.append("0" if log_modulus == -np.inf else f"10^{log_modulus / np.log(10):.1f}")
         elif abs(value.imag) <= 1e-12 * abs(value):
             parts.append(f"{value.real:.4g}")
         elif value.imag > 0:

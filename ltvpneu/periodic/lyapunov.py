@@ -184,7 +184,7 @@ def lyapunov(system: PeriodicSystem, W: ArrayLike, *, adjoint: bool = False) -> 
     >>> import ltvpneu as lp
     >>> system = lp.PeriodicSystem.from_matrices([[[-1.0]], [[-3.0]]], [[0.0], [0.0]], [0.5, 0.5])
     >>> lp.lyapunov(system, [[1.0]]).round(4).ravel()
-    array([0.1876, 0.3851])
+    array([0.1774, 0.3813])
     """
     expect_system(system)
     weights = symmetric("W", W, system.n_steps, system.n_states)
