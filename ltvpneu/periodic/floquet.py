@@ -25,6 +25,7 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import ComplexArray, FloatArray, not_negative, read_only
+from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic.cyclic import Reduced, reduced
 from ltvpneu.periodic.product import from_logs, log_multipliers
 from ltvpneu.periodic.propagate import complex_exponentials, exponentials
@@ -37,7 +38,7 @@ def monodromy(system: PeriodicSystem) -> FloatArray:
     Raises
     ------
     StepOverflowError
-        A step grows by more than double precision holds.
+        An entry is larger than double precision holds.
 
     Examples
     --------
@@ -48,9 +49,22 @@ def monodromy(system: PeriodicSystem) -> FloatArray:
     True
     """
     expect_system(system)
-    maps = system.maps
-    scales = maps.steps.scales
-    return read_only(maps.over_period()[:-1, :-1] * (scales[:, None] / scales))
+    n, scales = system.n_states, system.scaled.scales
+    factors = system.maps.maps[:, :n, :n] if system.is_representable else _factors(system)
+    product, exponent = np.eye(n), 0
+    for factor in factors:
+        # By powers of two: growth within the period that comes back again shall not overflow on the way.
+        product = factor @ product
+        power = int(np.frexp(np.abs(product).max(initial=0.0))[1])
+        product, exponent = np.ldexp(product, -power), exponent + power
+    with np.errstate(over="ignore"):
+        found = np.ldexp(product * (scales[:, None] / scales), min(exponent, 5000))
+    if not np.isfinite(found).all():
+        raise StepOverflowError(
+            f"the monodromy matrix has an entry of about 10^{exponent * math.log10(2):.0f}, more than double precision "
+            "holds. Its multipliers can still be had: floquet"
+        )
+    return read_only(found)
 
 
 @final

@@ -21,7 +21,7 @@ from ltvpneu._arrays import FloatArray, positive
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.gramians import balanced_matrices, gramians
 from ltvpneu.periodic.propagate import balancing_scales
-from ltvpneu.periodic.scattering import Scattering, bounded_steps
+from ltvpneu.periodic.scattering import bounded_period, bounded_steps
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 
@@ -75,12 +75,9 @@ def _is_bound(system: PeriodicSystem, gamma: float) -> bool:
     steps = bounded_steps(*_game(system, gamma), system.durations)
     if steps is None:
         return False
-    total = Scattering(E=steps.E[0], G=steps.G[0], H=steps.H[0])
-    for k in range(1, len(steps.E)):
-        step = Scattering(E=steps.E[k], G=steps.G[k], H=steps.H[k])
-        if not total.is_bounded_with(step):
-            return False
-        total = total.then(step)
+    total = bounded_period(steps)
+    if total is None:
+        return False
     for _ in range(60):
         if not total.is_bounded_with(total):
             return False

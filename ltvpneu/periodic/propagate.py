@@ -100,13 +100,6 @@ class StepMaps:
     """(n_steps, n + 1, n + 1)"""
     steps: ScaledSteps
 
-    def over_period(self) -> FloatArray:
-        """Return the balanced augmented map over the whole period, shape (n + 1, n + 1)."""
-        total = self.maps[0]
-        for step in self.maps[1:]:
-            total = step @ total
-        return total
-
 
 def step_maps(steps: ScaledSteps, durations: FloatArray) -> StepMaps:
     """Return the maps over all steps, (11) without its inverse."""

@@ -48,6 +48,18 @@ class Scattering:
             H=_even(self.H + _transposed(self.E) @ later.H @ through),
         )
 
+    def pairs(self) -> "tuple[Scattering, Scattering, Scattering]":
+        """Return, of a stack, every first and every second of two neighbours, and the one left over if any."""
+        even = len(self.E) // 2 * 2
+        parts = slice(0, even, 2), slice(1, even, 2), slice(even, None)
+        earlier, later, odd = (Scattering(E=self.E[part], G=self.G[part], H=self.H[part]) for part in parts)
+        return earlier, later, odd
+
+    def followed_by(self, rest: "Scattering") -> "Scattering":
+        """Return two stacks as one."""
+        E, G, H = (np.concatenate(both) for both in ((self.E, rest.E), (self.G, rest.G), (self.H, rest.H)))
+        return Scattering(E=E, G=G, H=H)
+
     def is_bounded_with(self, later: "Scattering") -> bool:
         """Return whether both in sequence stay finite where G is negative: I + G H has positive eigenvalues only."""
         product = self.G @ later.H
@@ -108,11 +120,21 @@ def _short_steps(A: FloatArray, G: FloatArray, Q: FloatArray, durations: FloatAr
 
 
 def over_period(steps: Scattering) -> Scattering:
-    """Return all steps in sequence."""
-    total = Scattering(E=steps.E[0], G=steps.G[0], H=steps.H[0])
-    for k in range(1, len(steps.E)):
-        total = total.then(Scattering(E=steps.E[k], G=steps.G[k], H=steps.H[k]))
-    return total
+    """Return all steps in sequence; neighbours combine in pairs, all pairs at once."""
+    while len(steps.E) > 1:
+        earlier, later, odd = steps.pairs()
+        steps = earlier.then(later).followed_by(odd)
+    return Scattering(E=steps.E[0], G=steps.G[0], H=steps.H[0])
+
+
+def bounded_period(steps: Scattering) -> Scattering | None:
+    """Return the same for G negative semidefinite, or None if a period is longer than the costs stay finite."""
+    while len(steps.E) > 1:
+        earlier, later, odd = steps.pairs()
+        if not earlier.is_bounded_with(later):
+            return None
+        steps = earlier.then(later).followed_by(odd)
+    return Scattering(E=steps.E[0], G=steps.G[0], H=steps.H[0])
 
 
 def _transposed(matrices: FloatArray) -> FloatArray:

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray
-from ltvpneu.errors import NonUniqueOrbitError, NoOrbitError
+from ltvpneu.errors import NonUniqueOrbitError, NoOrbitError, StepOverflowError
 from ltvpneu.periodic.cyclic import Reduced, reduced
 from ltvpneu.periodic.exponential import ExponentialTrajectory
+from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
@@ -41,6 +42,8 @@ def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Or
         Every period drifts; `.drift` says by how much.
     NonUniqueOrbitError
         A whole family of orbits; `.least_norm` is one, `.free_directions` lead to the others.
+    StepOverflowError
+        The orbit grows further within the period than double precision can follow.
 
     Examples
     --------
@@ -104,6 +107,14 @@ def _periodic_states(system: PeriodicSystem, singular_below: float) -> FloatArra
     left, values, right = np.linalg.svd(gap)
     null = values <= singular_below * size
     if null.any():
+        found = floquet(system)
+        # A pair at one, with a Jordan block, is only good to the root of the rounding error.
+        if np.abs(found.log_moduli + 1j * found.angles).min() > 1e-5:
+            raise StepOverflowError(
+                "the periodic steady state grows too far within the period, and comes back, for double precision to "
+                f"follow (to one part in {1 / singular_below:.0e}); no Floquet multiplier is one, so it exists. "
+                "Are A and the durations in the same units of time?"
+            )
         _raise_singular(system, one, _Null(left, values, right, null))
     start = right.T @ ((left.T @ one.rhs) / values[:, None])
     return one.all_from(start, start)[:-1, :, 0] * maps.steps.scales

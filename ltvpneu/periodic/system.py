@@ -317,6 +317,11 @@ class PeriodicSystem:
         return scaled_steps(self.A, self.f, self.durations)
 
     @cached_property
+    def is_representable(self) -> bool:
+        """Whether no step grows by more than double precision holds."""
+        return bool(np.isfinite(self._maps.maps).all())
+
+    @cached_property
     def maps(self) -> StepMaps:
         """The maps over all steps, which orbit and response share.
 
@@ -326,7 +331,7 @@ class PeriodicSystem:
             A step grows by more than double precision holds.
         """
         maps = self._maps
-        if not np.isfinite(maps.maps).all():
+        if not self.is_representable:
             step = int(np.argwhere(~np.isfinite(maps.maps))[0][0])
             raise StepOverflowError(
                 f"step {step + 1} of {self.durations[step]:g} s grows by more than double precision holds; its "

@@ -203,13 +203,45 @@ def test_systems_that_grow_beyond_all_bounds_are_unstable_not_marginal(growth):
 
 def test_a_map_beyond_double_precision_is_a_named_error_but_the_orbit_and_the_multipliers_are_had():
     system = lp.PeriodicSystem.from_matrices([np.diag([2000.0, -2000.0])], [[1.0, 1.0]], [1.0])
-    for function in (lp.monodromy, lp.lifted):
-        with pytest.raises(lp.StepOverflowError, match="step 1 of 1 s grows by more than double precision"):
-            function(system)
+    with pytest.raises(lp.StepOverflowError, match="step 1 of 1 s grows by more than double precision"):
+        lp.lifted(system)
+    with pytest.raises(lp.StepOverflowError, match=r"the monodromy matrix has an entry of about 10\^869"):
+        lp.monodromy(system)
     # A^-1 f, unstable or not.
     assert lp.steady_state(system).initial_state == pytest.approx([-1 / 2000, 1 / 2000], rel=1e-12)
     assert lp.steady_state(system).mean("z1") == pytest.approx(-1 / 2000, rel=1e-12)
     assert lp.floquet(system).log_moduli == pytest.approx([2000, -2000], rel=1e-12)
+
+
+def test_growth_beyond_double_precision_that_comes_back_leaves_everything_finite():
+    """Up by e^800 and down by e^801 in single steps, in coordinates that mix both states."""
+    turn = np.array([[1.0, 0.5], [0.0, 1.0]])
+    A = [turn @ np.diag([rate, -1.0]) @ np.linalg.inv(turn) for rate in (800.0, -801.0)]
+    system = lp.PeriodicSystem.from_matrices(A, [[1.0, 2.0], [0.0, 1.0]], [1.0, 1.0])
+    # Eight hundred times the rounding of A.
+    assert lp.floquet(system).log_moduli == pytest.approx([-1.0, -2.0], abs=1e-9)
+    np.testing.assert_allclose(lp.monodromy(system)[0, 0], math.exp(-1), rtol=1e-9)
+    # The orbit itself passes e^800.
+    with pytest.raises(lp.StepOverflowError, match="grows too far within the period, and comes back"):
+        lp.steady_state(system)
+
+
+def test_an_orbit_that_is_large_within_the_period_is_not_mistaken_for_a_drift():
+    """Scalar: z(T1) = e^40 (z0 + 1/40) - 1/40, z(T) = e^-41 z(T1)."""
+    system = lp.PeriodicSystem.from_matrices([[[40.0]], [[-41.0]]], [[1.0], [0.0]], [1.0, 1.0])
+    z0 = math.exp(-1) / 40 / (1 - math.exp(-1))
+    orbit = lp.steady_state(system)
+    # The solve is backward stable relative to the largest state, e^36 times the first.
+    assert orbit.initial_state[0] == pytest.approx(z0, rel=1e-7)
+    assert orbit.step_states[1, 0] == pytest.approx(math.exp(40) * (z0 + 1 / 40), rel=1e-7)
+
+
+def test_multipliers_do_not_depend_on_the_coordinates():
+    random = np.random.default_rng(4)
+    A, turn = random.normal(size=(5, 4, 4)), random.normal(size=(4, 4))
+    plain = lp.PeriodicSystem.from_matrices(A, np.zeros((5, 4)), np.ones(5))
+    turned = lp.PeriodicSystem.from_matrices(turn @ A @ np.linalg.inv(turn), np.zeros((5, 4)), np.ones(5))
+    np.testing.assert_allclose(lp.floquet(turned).log_moduli, lp.floquet(plain).log_moduli, atol=1e-10)
 
 
 def test_a_step_stiff_beyond_sense_is_a_named_error():
