@@ -60,9 +60,27 @@ def _margin(
     state[0] = coefficients[0, 0]
     for k in range(2, state.size):
         state[k] = _value(coefficients, k, share)
+    return _hold_left(state, machine)
+
+
+@inlined
+def _hold_left(state: FloatArray, machine: MachineArrays) -> float:
+    """Return how much more force a resting piston withstands [N]; below zero it breaks away."""
     force = external_force(state, machine)
     down, up = _holds(state[0], machine)
     return min(up - force, force + down)
+
+
+@compiled
+def margin_at(state: FloatArray, kind: int, mode: int, machine: MachineArrays) -> float:
+    """Return what an event waits for to fall below zero, at a state; kinds as of `first_event`."""
+    if kind == 0:
+        return mode * state[1]
+    if kind == 1:
+        return state[0] - machine.load.lower_stop
+    if kind == 2:
+        return machine.load.upper_stop - state[0]
+    return _hold_left(state, machine)
 
 
 @compiled
@@ -95,7 +113,10 @@ def _event_share(kind: int, mode: int, coefficients: FloatArray, machine: Machin
 
 @inlined
 def first_event(mode: int, coefficients: FloatArray, machine: MachineArrays, work: FloatArray) -> tuple[float, int]:
-    """Return the share of the step at which the first event happens, and its kind; 2.0 and -1 where none does."""
+    """Return the share of the step at which the first event happens, and its kind; 2.0 and -1 where none does.
+
+    Kinds: 0 velocity reverses, 1 lower, 2 upper stop, 3 break-away.
+    """
     first, found = 2.0, -1
     if mode == STUCK:
         first, found = _event_share(3, mode, coefficients, machine, work), 3

@@ -52,7 +52,8 @@ class Progress(NamedTuple):
     status: int
     time: float
     steps: int
-    mode: int
+    kind: int
+    """Event that it stopped at, as of `first_event`; below zero where it reached the end."""
 
 
 class Log(NamedTuple):
@@ -84,18 +85,35 @@ def _logged(log: Log, row: tuple[float, float, int, int], h: float, coefficients
 
 
 @compiled
-def _integrate_piece(piece: int, steps: int, mode: int, run: Run, space: Workspace, log: Log) -> tuple[Progress, Log]:
-    """Integrate over one piece of the valve's cycle; `log.n_logged` below zero records nothing."""
-    time, end, period = run.schedule.times[piece], run.schedule.times[piece + 1], run.schedule.times[-1]
+def advance(
+    begin: tuple[float, int, int], end: float, mode: int, run: Run, space: Workspace, log: Log
+) -> tuple[Progress, Log]:
+    """Integrate within one piece of the valve's cycle up to a time, or to an event of the piston, and land there.
+
+    Parameters
+    ----------
+    begin : (float, int, int)
+        Time [s], piece, and steps taken so far.
+    end : float
+        At most the end of the piece [s].
+    mode : int
+    run : Run
+    space : Workspace
+        With the state to start from; left with the state reached.
+    log : Log
+        `n_logged` below zero records nothing.
+    """
+    time, piece, steps = begin
+    period = run.schedule.times[-1]
     adaptive = run.settings.fixed_step == 0.0
     # A length of zero asks for a first step; only the rate at its start can tell how long.
     h, fresh = (0.0 if adaptive else fixed_length(piece, run)), True
     while time < end:
         if steps >= run.settings.max_steps:
-            return Progress(TOO_MANY_STEPS, time, steps, mode), log
+            return Progress(TOO_MANY_STEPS, time, steps, -1), log
         steps += 1
         if fresh and not start_rate(time, piece, mode, run, space):
-            return Progress(LEFT_DOMAIN, time, steps, mode), log
+            return Progress(LEFT_DOMAIN, time, steps, -1), log
         if h == 0.0:
             h = first_length(time, piece, mode, run, space)
         fresh = False
@@ -108,7 +126,7 @@ def _integrate_piece(piece: int, steps: int, mode: int, run: Run, space: Workspa
             h *= max(0.2, 0.9 * error**-0.2)
             if h < 1e-15 * period or not adaptive:
                 status = LEFT_DOMAIN if math.isinf(error) else STEP_TOO_SMALL
-                return Progress(status, time, steps, mode), log
+                return Progress(status, time, steps, -1), log
             continue
         share, kind = first_event(mode, space.coefficients, run.machine, space.rate)
         if not adaptive and kind >= 0:
@@ -119,31 +137,39 @@ def _integrate_piece(piece: int, steps: int, mode: int, run: Run, space: Workspa
         time = end if last and share >= 1.0 else time + span
         if kind >= 0:
             land(kind, share, run, space)
-            mode, fresh = mode_of(space.state, run.machine), True
-            h = 0.0 if adaptive else h
-            continue
+            return Progress(OK, time, steps, kind), log
         copy(space.new, space.state)
         copy(space.stages[6], space.stages[0])
         if mode == STUCK:
             fresh = rest_at_source(run, space)
         if adaptive:
             h *= min(5.0, 0.9 * max(error, 1e-10) ** -0.2)
-    return Progress(OK, time, steps, mode), log
+    return Progress(OK, time, steps, -1), log
+
+
+@compiled
+def new_workspace(start: FloatArray, n_paths: int) -> Workspace:
+    """Return arrays for an integration from `start`, shape (n_states,)."""
+    n = start.size
+    return Workspace(start.copy(), np.empty(n), np.empty(n), np.zeros((7, n)), np.zeros((5, n)), np.empty((2, n_paths)))
 
 
 @compiled
 def integrate_period(start: FloatArray, run: Run, recording: bool) -> Outcome:
     """Integrate over one valve period from `start`, shape (n_states,)."""
-    n, n_paths = start.size, run.machine.path_chamber.size
-    space = Workspace(
-        start.copy(), np.empty(n), np.empty(n), np.zeros((7, n)), np.zeros((5, n)), np.empty((2, n_paths))
-    )
+    n = start.size
+    space = new_workspace(start, run.machine.path_chamber.size)
     log = (
         Log(np.empty((64, 4)), np.empty((64, 5, n)), 0) if recording else Log(np.empty((0, 4)), np.empty((0, 5, n)), -1)
     )
-    progress = Progress(OK, 0.0, 0, mode_of(space.state, run.machine))
+    progress = Progress(OK, 0.0, 0, -1)
     for piece in range(run.schedule.times.size - 1):
-        progress, log = _integrate_piece(piece, progress.steps, progress.mode, run, space, log)
+        end = run.schedule.times[piece + 1]
+        mode = mode_of(space.state, run.machine)
+        progress, log = advance((run.schedule.times[piece], piece, progress.steps), end, mode, run, space, log)
+        while progress.kind >= 0 and progress.status == OK:
+            mode = mode_of(space.state, run.machine)
+            progress, log = advance((progress.time, piece, progress.steps), end, mode, run, space, log)
         if progress.status != OK:
             break
     rows = log.rows[: max(log.n_logged, 0)]

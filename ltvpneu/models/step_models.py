@@ -1,0 +1,213 @@
+r"""One linear model for one step of the machine's motion: a tangent, or a fit over what the step visits. Compiled.
+
+In slip in one direction, and at rest, the mechanics are linear as they stand: dry friction is a constant force, its
+operating point the sign of the velocity, and a resting piston has x' = 0. What is left to linearize are the chambers'
+pressure rates p' = n (R T m - p A v) / V. All here is in scaled states y = z / scales, as augmented matrices
+[[A, f], [0, 0]].
+
+*Tangent*: every derivative at one state. Where a pressure nears that of a source the flow's slope grows without bound,
+and a tangent there overshoots the source by as much as it was away; the slope goes over to the chord's, whose
+equilibrium is the source. The rate at the state itself stays exact, so in a step about its own mean that costs no order
+of accuracy.
+
+*Fit* (equivalent linearization): the pressure rate as a linear function of pressures, position and velocity, by least
+squares over the trajectory visited. Residuals are weighted by the volume, as errors of mass flow, since what counts is
+how much gas a chamber ends up with. Directions that a step hardly visits keep the tangent's slope (a ridge).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu._compiled import compiled
+from ltvpneu.models.dynamics import STUCK, chamber_volume, source_range, state_rate, state_tangent
+from ltvpneu.models.machine import MachineArrays
+from ltvpneu.periodic.small import solve
+
+DECAY_AT_REST = 40.0
+"""Exponent by which the velocity of a resting piston decays over its step: what is left of it is below rounding."""
+RIDGE = 1e-6
+"""Mean square of a scaled state's excursions below which the fit keeps the tangent's slope over it [-]."""
+_SHARES = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)])
+_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
+
+
+class Visited(NamedTuple):
+    """A trajectory as polynomials over intervals of time."""
+
+    spans: FloatArray
+    """[s], (n_intervals,)"""
+    coefficients: FloatArray
+    """Ascending powers of the time since the start of each interval, (n_intervals, 5, n)."""
+
+
+LEAST_SEPARATION = 1e-5
+"""Relative distance from a source's pressure within which the flow counts as a straight line through zero [-]."""
+
+
+@compiled
+def tangent_at(
+    state: FloatArray, areas: FloatArray, mode: int, machine: MachineArrays, distance: float,
+    A: FloatArray, B: FloatArray, rate: FloatArray, held: FloatArray,
+) -> bool:  # fmt: skip
+    """Write the rate at a state and its tangent in one mode of motion, in physical units; False outside the domain.
+
+    Parameters
+    ----------
+    state : ndarray, shape (n,)
+    areas : ndarray, shape (2, n_paths)
+    mode : int
+    machine : MachineArrays
+    distance : float
+        Relative distance from a source's pressure within which the slope goes over to that of the chord to it.
+    A, B, rate : ndarray, shapes (n, n), (n, 3) and (n,)
+        Results.
+    held : ndarray, shape (n,)
+        Result: share of the chord in each pressure's slope, from 0 to 1.
+    """
+    n = state.size
+    inside = state_rate(state, areas, mode, machine, rate)
+    if inside:
+        state_tangent(state, areas, machine, True, A, B)
+        for k in range(2, n):
+            held[k] = 0.0
+            low, high = source_range(k - 2, areas, machine)
+            source = low if abs(state[k] - low) <= abs(state[k] - high) else high
+            apart = state[k] - source
+            if math.isfinite(source) and abs(apart) < distance * source:
+                held[k] = 1.0 - abs(apart) / (distance * source)
+                _chord(state, k, source, areas, mode, machine, A, B, rate, held[k])
+        if mode == STUCK:
+            A[0, 1] = 0.0
+            for j in range(n):
+                A[1, j] = 0.0
+            for j in range(3):
+                B[1, j] = 0.0
+            for k in range(2, n):
+                A[k, 1] = 0.0
+    return inside
+
+
+@compiled
+def _chord(
+    state: FloatArray, k: int, source: float, areas: FloatArray, mode: int, machine: MachineArrays,
+    A: FloatArray, B: FloatArray, rate: FloatArray, share: float,
+) -> None:  # fmt: skip
+    """Blend the chord from a pressure to a near source's into its slope, and the difference into the source's column.
+
+    The flow depends on the difference of the two, nearly. Within `LEAST_SEPARATION` the rate is on the chord too.
+    """
+    n = state.size
+    least = LEAST_SEPARATION * source
+    apart = state[k] - source
+    reached = apart if abs(apart) > least else math.copysign(least, apart)
+    point, at_source, away = state.copy(), np.empty(n), np.empty(n)
+    others, inputs = np.empty((n, n)), np.empty((n, 3))
+    point[k] = source
+    state_rate(point, areas, mode, machine, at_source)
+    point[k] = source + reached
+    state_rate(point, areas, mode, machine, away)
+    state_tangent(point, areas, machine, True, others, inputs)
+    chord = (away[k] - at_source[k]) / reached
+    if abs(apart) < least:
+        rate[k] = at_source[k] + chord * apart
+    A[k, k] = share * chord + (1.0 - share) * others[k, k]
+    for j in range(3):
+        B[k, j] = inputs[k, j]
+    near = 0 if source == machine.supply.pressure else 1
+    B[k, near] += others[k, k] - A[k, k]
+
+
+@compiled
+def augmented(A: FloatArray, state: FloatArray, rate: FloatArray, scales: FloatArray, matrix: FloatArray) -> None:
+    """Write the scaled augmented matrix of z' = rate + A (z - state), shape (n + 1, n + 1)."""
+    n = state.size
+    for i in range(n):
+        constant = rate[i]
+        for j in range(n):
+            constant -= A[i, j] * state[j]
+            matrix[i, j] = A[i, j] * scales[j] / scales[i]
+        matrix[i, n] = constant / scales[i]
+    for j in range(n + 1):
+        matrix[n, j] = 0.0
+
+
+@compiled
+def mean_visited(visited: Visited) -> FloatArray:
+    """Return the time means over a trajectory, shape (n,)."""
+    count, _, n = visited.coefficients.shape
+    means, total = np.zeros(n), 0.0
+    for interval in range(count):
+        span = visited.spans[interval]
+        total += span
+        factor = span
+        for power in range(5):
+            for i in range(n):
+                means[i] += visited.coefficients[interval, power, i] * factor / (power + 1)
+            factor *= span
+    for i in range(n):
+        means[i] /= total
+    return means
+
+
+@compiled
+def fit_visited(
+    visited: Visited, mean: FloatArray, machine: MachineArrays, mode: int, scales: FloatArray, matrix: FloatArray
+) -> None:
+    """Replace the pressure rows of a tangent at the trajectory's mean by the fit over the trajectory.
+
+    Parameters
+    ----------
+    visited : Visited
+        Physical units.
+    mean : ndarray, shape (n,)
+    machine : MachineArrays
+    mode : int
+    scales : ndarray, shape (n,)
+    matrix : ndarray, shape (n + 1, n + 1)
+        Scaled augmented tangent at the mean; its pressure rows are replaced.
+    """
+    n = mean.size
+    features = 1 + (n - 2 if mode == STUCK else n)
+    first = 2 if mode == STUCK else 0
+    moments = np.empty((n - 2, features, features))
+    sums = np.empty((n - 2, features))
+    moments.fill(0.0)
+    sums.fill(0.0)
+    total = np.zeros(n - 2)
+    z, slope, c = np.empty(n), np.empty(n), np.empty(features)
+    for interval in range(visited.spans.size):
+        span, p = visited.spans[interval], visited.coefficients[interval]
+        for node in range(3):
+            t = _SHARES[node] * span
+            for i in range(n):
+                z[i] = (((p[4, i] * t + p[3, i]) * t + p[2, i]) * t + p[1, i]) * t + p[0, i]
+                slope[i] = ((4.0 * p[4, i] * t + 3.0 * p[3, i]) * t + 2.0 * p[2, i]) * t + p[1, i]
+            c[0] = 1.0
+            for q in range(1, features):
+                i = first + q - 1
+                c[q] = (z[i] - mean[i]) / scales[i]
+            for k in range(2, n):
+                volume = chamber_volume(k - 2, z[0], machine) / machine.chambers[k - 2, 0]
+                weight = _WEIGHTS[node] * span * volume * volume
+                total[k - 2] += weight
+                left = slope[k] / scales[k]
+                for q in range(1, features):
+                    left -= matrix[k, first + q - 1] * c[q]
+                for a in range(features):
+                    sums[k - 2, a] += weight * c[a] * left
+                    for b in range(features):
+                        moments[k - 2, a, b] += weight * c[a] * c[b]
+    for k in range(2, n):
+        for a in range(1, features):
+            moments[k - 2, a, a] += RIDGE * total[k - 2]
+        if not solve(moments[k - 2], sums[k - 2]):
+            continue
+        constant = sums[k - 2, 0]
+        for q in range(1, features):
+            matrix[k, first + q - 1] += sums[k - 2, q]
+        for i in range(n):
+            constant -= matrix[k, i] * mean[i] / scales[i]
+        matrix[k, n] = constant

@@ -1,0 +1,131 @@
+r"""Exponentials of small matrices, compiled, for marching a state through many steps one by one.
+
+With M a step's augmented matrix in scaled coordinates, X = M t,
+
+.. math:: e^X = \sum_k \frac{X^k}{k!}, \qquad \bar\varphi(X) = \int_0^1 e^{X s}\, ds = \sum_k \frac{X^k}{(k + 1)!}
+
+by Taylor series after halving, then doubled: phi(2 X) = (phi + e^X phi) / 2. `scipy.linalg.expm` takes stacks, but each
+step of a march starts where the last one ended, and one call costs more than a whole step here.
+"""
+
+import math
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu._compiled import compiled, inlined
+
+TERMS = 10
+"""Terms of the Taylor series; with a norm of at most `LARGEST_NORM` the next is below 1e-14."""
+LARGEST_NORM = 0.25
+SMALLEST_TERM = 1e-17
+
+
+@inlined
+def multiply(first: FloatArray, second: FloatArray, product: FloatArray) -> None:
+    """Write the product of two square matrices."""
+    n = first.shape[0]
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total += first[i, k] * second[k, j]
+            product[i, j] = total
+
+
+@inlined
+def apply(matrix: FloatArray, vector: FloatArray, product: FloatArray) -> None:
+    """Write matrix times vector."""
+    for i in range(product.size):
+        total = 0.0
+        for j in range(vector.size):
+            total += matrix[i, j] * vector[j]
+        product[i] = total
+
+
+@compiled
+def exponential(matrix: FloatArray, time: float, result: FloatArray, mean: FloatArray) -> None:
+    """Write exp(M t) and the mean of exp(M s) over s from 0 to t, each (k, k)."""
+    k = matrix.shape[0]
+    scaled, work = np.empty((k, k)), np.empty((k, k))
+    norm = 0.0
+    for i in range(k):
+        row = 0.0
+        for j in range(k):
+            row += abs(matrix[i, j])
+        norm = max(norm, row)
+    norm *= time
+    doublings = 0
+    # A matrix that is not finite is not halved for ever; what it gives is not finite either.
+    while norm > LARGEST_NORM and doublings < 200:
+        norm *= 0.5
+        doublings += 1
+    short = time / 2.0**doublings
+    for i in range(k):
+        for j in range(k):
+            scaled[i, j] = matrix[i, j] * short
+            mean[i, j] = 0.0
+        mean[i, i] = 1.0
+    for term in range(TERMS, 1, -1):
+        multiply(scaled, mean, work)
+        for i in range(k):
+            for j in range(k):
+                mean[i, j] = work[i, j] / term
+            mean[i, i] += 1.0
+    multiply(scaled, mean, result)
+    for i in range(k):
+        result[i, i] += 1.0
+    for _ in range(doublings):
+        multiply(result, mean, work)
+        for i in range(k):
+            for j in range(k):
+                mean[i, j] = 0.5 * (mean[i, j] + work[i, j])
+        multiply(result, result, work)
+        for i in range(k):
+            for j in range(k):
+                result[i, j] = work[i, j]
+
+
+@compiled
+def advanced(matrix: FloatArray, vector: FloatArray, time: float) -> FloatArray:
+    """Return exp(M t) v for a short time of either sign, by the series of vectors."""
+    k = vector.size
+    total, term, following = vector.copy(), vector.copy(), np.empty(k)
+    for order in range(1, 100):
+        largest = 0.0
+        apply(matrix, term, following)
+        for i in range(k):
+            term[i] = following[i] * time / order
+            total[i] += term[i]
+            largest = max(largest, abs(term[i]))
+        if largest < SMALLEST_TERM or not math.isfinite(largest):
+            break
+    return total
+
+
+@compiled
+def solve(matrix: FloatArray, right: FloatArray) -> bool:
+    """Solve a small linear system in place, by elimination with pivots; False where it is singular."""
+    n = right.size
+    for i in range(n):
+        pivot = i
+        for row in range(i + 1, n):
+            if abs(matrix[row, i]) > abs(matrix[pivot, i]):
+                pivot = row
+        if matrix[pivot, i] == 0.0:
+            return False
+        if pivot != i:
+            for column in range(n):
+                matrix[i, column], matrix[pivot, column] = matrix[pivot, column], matrix[i, column]
+            right[i], right[pivot] = right[pivot], right[i]
+        for row in range(i + 1, n):
+            factor = matrix[row, i] / matrix[i, i]
+            for column in range(i, n):
+                matrix[row, column] -= factor * matrix[i, column]
+            right[row] -= factor * right[i]
+    for i in range(n - 1, -1, -1):
+        total = right[i]
+        for column in range(i + 1, n):
+            total -= matrix[i, column] * right[column]
+        right[i] = total / matrix[i, i]
+    return True
