@@ -115,6 +115,23 @@ class NotSettledError(LtvpneuError):
         self.last_state = last_state
 
 
+class NotConvergedError(LtvpneuError):
+    """A linear model's operating points, or its cycle, were not found.
+
+    Attributes
+    ----------
+    residual : float
+        Largest scaled difference that was left [-]: of operating points and step means, or of the state over a period.
+    iterations : int
+        Valve periods marched.
+    """
+
+    def __init__(self, message: str, *, residual: float, iterations: int) -> None:
+        super().__init__(message)
+        self.residual = residual
+        self.iterations = iterations
+
+
 class IntegrationError(LtvpneuError):
     """The nonlinear equations could not be integrated on.
 

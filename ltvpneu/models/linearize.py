@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import FloatArray, finite_array
 from ltvpneu.models.dynamics import state_rate, tangents
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.staircase import Staircase
 from ltvpneu.periodic.exponential import ExponentialTrajectory
-from ltvpneu.periodic.steady import periodic_states
+from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.steady import periodic_states, steady_state
 from ltvpneu.periodic.system import PeriodicSystem
 
 Tangent = Literal["paper", "full"]
@@ -142,7 +142,11 @@ def _check_domain(machine: Machine, states: FloatArray) -> None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class HeldBack:
-    """An operating point that was kept inside the range where the linearization means something."""
+    """An operating point that was kept inside the range where the linearization means something.
+
+    In a self-consistent model the point itself stays, and its slope is, in part, that of the chord from it to a source's
+    pressure: then `used` is the latter.
+    """
 
     step: int
     """Number of the step, from 0."""
@@ -169,7 +173,9 @@ class LtvModel:
     least_distance: float
     """Relative distance kept from pressures where the flow's slope is infinite [-]; results depend on it."""
     iterations: int
-    """Cycles computed to find the operating points."""
+    """Cycles computed, or valve periods marched, to find the operating points."""
+    own_cycle: Orbit | None = None
+    """The cycle that the operating points belong to, where the model was found with it."""
 
     def __repr__(self) -> str:
         return (
@@ -178,25 +184,37 @@ class LtvModel:
         )
 
     @cached_property
+    def orbit(self) -> Orbit:
+        """The model's periodic cycle: the one its operating points belong to, else its steady state.
+
+        Raises
+        ------
+        NoOrbitError, NonUniqueOrbitError
+            As `steady_state`.
+        """
+        return steady_state(self.system) if self.own_cycle is None else self.own_cycle
+
+    @cached_property
     def residual(self) -> float:
         """Largest difference between the operating pressures and the means of the model's own cycle over the steps [-].
 
         Relative to the supply pressure. Zero would mean that the model is linearized about its own cycle.
         """
-        cycle = ExponentialTrajectory(system=self.system, step_states=periodic_states(self.system))
+        states = periodic_states(self.system) if self.own_cycle is None else self.own_cycle.step_states
+        cycle = ExponentialTrajectory(system=self.system, step_states=states)
         differences = cycle.step_state_means()[:, 2:] - self.operating_points[:, 2:]
         return float(np.max(np.abs(differences))) / self.machine.supply_pressure
 
 
 def assemble(
-    machine: Machine, frequency: float, stairs: Staircase, linearization: Linearization, name: str
+    machine: Machine, durations: FloatArray, linearization: Linearization, name: str
 ) -> PeriodicSystem:
     """Return the steps as a `PeriodicSystem` whose inputs are the source pressures and the load force."""
     N, n = linearization.r.shape
     outputs = np.zeros((N, n, n))
     outputs[:, range(n), range(n)] = 1.0
     return PeriodicSystem(
-        durations=np.diff(stairs.fractions) / frequency,
+        durations=durations,
         A=linearization.A,
         B=linearization.B,
         r=linearization.r,

@@ -76,7 +76,7 @@ def lti_model_of_turn(
     A[:] = average
     averaged = Linearization(A=A, B=each.B, r=r, f=each.B @ machine.levels + r)
     return LtvModel(
-        system=assemble(machine, frequency, stairs, averaged, f"{machine.identifier}_lti"),
+        system=assemble(machine, np.diff(stairs.fractions) / frequency, averaged, f"{machine.identifier}_lti"),
         machine=machine,
         frequency=float(frequency),
         operating_points=points,

@@ -5,17 +5,22 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ltvpneu._arrays import FloatArray, finite_array, not_negative, positive
+from ltvpneu._arrays import FloatArray, finite_array, not_negative, positive, whole
 from ltvpneu.models.linearize import LtvModel, Tangent, assemble, linearize_steps
 from ltvpneu.models.lti import lti_model_of_turn
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.operating_points import LEAST_DISTANCE, Turn, held_inside, quasi_static_turn
+from ltvpneu.models.own_cycle import Question, Spacing, own_cycle_model
 from ltvpneu.models.staircase import staircase
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.steady import periodic_states
 
-OperatingPoints = Literal["lti", "lti-position", "mean", "quasi-static", "quasi-static-steps"]
-MODES: tuple[OperatingPoints, ...] = ("lti", "lti-position", "mean", "quasi-static", "quasi-static-steps")
+OperatingPoints = Literal[
+    "lti", "lti-position", "mean", "quasi-static", "quasi-static-steps", "fitted", "self-consistent"
+]
+MODES: tuple[OperatingPoints, ...] = (
+    "lti", "lti-position", "mean", "quasi-static", "quasi-static-steps", "fitted", "self-consistent"
+)  # fmt: skip
 
 
 def ltv_model(
@@ -26,6 +31,7 @@ def ltv_model(
     operating_points: OperatingPoints | NDArray[np.float64] = "lti",
     tangent: Tangent = "paper",
     least_distance: float = LEAST_DISTANCE,
+    spacing: Spacing = "adaptive",
 ) -> LtvModel:
     """Return the linear time-varying model of a machine.
 
@@ -70,6 +76,11 @@ def ltv_model(
     positive("frequency", frequency, "Hz")
     not_negative("least_distance", least_distance)
     iterations, mode, held_back = 0, "given", ()
+    if operating_points == "fitted" or operating_points == "self-consistent":
+        question = Question(
+            machine=machine, frequency=float(frequency), mode=operating_points, distance=least_distance
+        )
+        return own_cycle_model(question, whole("n_steps", n_steps), spacing)
     if isinstance(operating_points, str):
         mode = operating_points
         turn = quasi_static_turn(machine, n_steps)
@@ -83,7 +94,7 @@ def ltv_model(
         points = finite_array("operating_points", operating_points, (N, len(machine.states)))
     linearization = linearize_steps(machine, points, stairs.areas, tangent)
     return LtvModel(
-        system=assemble(machine, frequency, stairs, linearization, f"{machine.identifier}_ltv"),
+        system=assemble(machine, np.diff(stairs.fractions) / frequency, linearization, f"{machine.identifier}_ltv"),
         machine=machine,
         frequency=float(frequency),
         operating_points=points,

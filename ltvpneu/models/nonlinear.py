@@ -130,7 +130,7 @@ def nonlinear_orbit(
     found = settle(start, run, scales, positive("tolerance", tolerance), max_periods)
     if found.last.status != OK:
         elapsed = (found.n_simulated - 1) * period + found.last.time
-        _raise_stopped(machine, found.last.status, elapsed, found.last.state)
+        raise_stopped(machine, found.last.status, elapsed, found.last.state)
     if found.n_periods == 0:
         raise NotSettledError(
             f"no periodic orbit after {found.n_simulated} valve periods: the scaled state still changes by "
@@ -226,7 +226,7 @@ def simulate(  # noqa: PLR0913 - one call for one transient
         schedule = _schedule(present, period)
         outcome = integrate_period(state, Run(schedule, present.arrays, settings), True)
         if outcome.status != OK:
-            _raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
+            raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
         local = np.union1d(even, schedule.times)[:-1]
         times.append(number * period + local)
         states.append(_trajectory(outcome.record).at(local).T)
@@ -241,9 +241,15 @@ def _settings(machine: Machine, period: float, method: Method) -> Settings:
     scales = machine.state_scales
     if isinstance(method, RungeKutta4):
         return Settings(1.0, scales, period / method.steps_per_period, MAX_STEPS)
-    atol = method.rtol * scales
-    atol[2:] = max(method.rtol, LEAST_PRESSURE_TOLERANCE) * scales[2:]
-    return Settings(float(method.rtol), atol, 0.0, MAX_STEPS)
+    return integration_settings(machine, method.rtol)
+
+
+def integration_settings(machine: Machine, rtol: float) -> Settings:
+    """Return the adaptive method's settings for a relative tolerance."""
+    scales = machine.state_scales
+    atol = rtol * scales
+    atol[2:] = max(rtol, LEAST_PRESSURE_TOLERANCE) * scales[2:]
+    return Settings(float(rtol), atol, 0.0, MAX_STEPS)
 
 
 def _schedule(machine: Machine, period: float) -> Schedule:
@@ -272,7 +278,8 @@ def _initial_state(machine: Machine, initial_state: ArrayLike | None) -> FloatAr
     return state
 
 
-def _raise_stopped(machine: Machine, status: int, time: float, state: FloatArray) -> None:
+def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray) -> None:
+    """Raise the error that says why an integration stopped, and where."""
     where = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, state, strict=True))
     chambers = machine.cylinder.chambers
     volumes = np.array([chamber_volume(k, float(state[0]), machine.arrays) for k in range(len(chambers))])
@@ -330,8 +337,6 @@ def _orbit(machine: Machine, period: float, records: list[Record], reached: tupl
     begins = first.nonzero()[0]
     step_times = np.empty(begins.size + 1)
     step_times[:-1], step_times[-1] = record.starts[begins], len(records) * period
-    labels = {STUCK: "stuck", 1: "moves up", -1: "moves down"}
-    free = not machine.has_dry_friction
     trajectory = _trajectory(record)
     n_simulated, residual = reached
     return Orbit(
@@ -339,22 +344,34 @@ def _orbit(machine: Machine, period: float, records: list[Record], reached: tupl
         n_periods=len(records),
         step_times=read_only(step_times),
         step_states=read_only(record.coefficients[begins, 0]),
-        step_labels=tuple("free" if free and mode != STUCK else labels[mode] for mode in modes[begins].tolist()),
+        step_labels=tuple(step_label(machine, mode) for mode in modes[begins].tolist()),
         trajectory=trajectory,
         states=machine.states,
         outputs=machine.states,
-        is_unique=not _in_stiction_band(machine, trajectory, modes),
+        is_unique=not rests_in_a_band(machine, trajectory.coefficients[:, 0], modes),
         residual=float(residual),
         n_simulated=n_simulated,
         name=machine.name,
     )
 
 
-def _in_stiction_band(machine: Machine, trajectory: PolynomialTrajectory, modes: IntArray) -> bool:
-    """Whether the piston rests throughout, held by stiction alone, so that it could rest beside just as well."""
+def step_label(machine: Machine, mode: int) -> str:
+    """Return what a step of an orbit is, for readers."""
+    if mode == STUCK:
+        return "stuck"
+    if not machine.has_dry_friction:
+        return "free"
+    return "moves up" if mode > 0 else "moves down"
+
+
+def rests_in_a_band(machine: Machine, states: FloatArray, modes: IntArray) -> bool:
+    """Whether the piston rests throughout, held by stiction alone, so that it could rest beside just as well.
+
+    `states`, (n_steps, n), are those at the starts of the steps, `modes`, (n_steps,), their modes.
+    """
     if modes[0] != STUCK or not machine.has_dry_friction or not (modes == STUCK).all():
         return False
-    forces = [external_force(state, machine.arrays) for state in trajectory.coefficients[:, 0]]
+    forces = [external_force(state, machine.arrays) for state in states]
     hold = holding_force(machine.load.dry_friction, machine.load.stiction)
     # Pressed against an end stop by more than stiction holds, it has nowhere else to rest.
     return max(abs(force) for force in forces) <= hold * (1 + 1e-9)

@@ -27,7 +27,7 @@ class Settled(NamedTuple):
 
 
 @compiled
-def _change(now: FloatArray, before: FloatArray, scales: FloatArray) -> float:
+def largest_change(now: FloatArray, before: FloatArray, scales: FloatArray) -> float:
     """Largest scaled difference of two states."""
     worst = 0.0
     for i in range(scales.size):
@@ -36,7 +36,7 @@ def _change(now: FloatArray, before: FloatArray, scales: FloatArray) -> float:
 
 
 @compiled
-def _is_settled(k: int, done: int, changes: FloatArray, drift: float, tolerance: float) -> bool:
+def is_settled(k: int, done: int, changes: FloatArray, drift: float, tolerance: float) -> bool:
     """Whether the changes over k periods say that the state repeats after k.
 
     `changes` holds the changes over each k, one row a period, the last MAX_SUBHARMONIC + 1 periods in a ring; `drift`
@@ -109,12 +109,12 @@ def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, ma
     while outcome.status == OK:
         copy(outcome.state, history[done % ring])
         best = math.inf
-        drift = _change(outcome.state, history[(done - 16) % ring], scales) if done >= 16 else math.inf
+        drift = largest_change(outcome.state, history[(done - 16) % ring], scales) if done >= 16 else math.inf
         for k in range(1, min(MAX_SUBHARMONIC, done) + 1):
-            change = _change(outcome.state, history[(done - k) % ring], scales)
+            change = largest_change(outcome.state, history[(done - k) % ring], scales)
             changes[done % ring, k] = change
             best = min(best, change)
-            if _is_settled(k, done, changes, drift, tolerance):
+            if is_settled(k, done, changes, drift, tolerance):
                 return Settled(k, simulated, change, outcome)
         if simulated >= max_periods:
             break

@@ -52,7 +52,7 @@ def staircase(machine: Machine, n_steps: int) -> Staircase:
             "of the openings"
         )
     fractions = _split(table, n_steps) if n_steps >= n_pieces else _merged(table, n_steps)
-    return Staircase(read_only(fractions), read_only(_step_means(table, fractions)))
+    return Staircase(read_only(fractions), read_only(step_means(table, fractions)))
 
 
 def fine_staircase(machine: Machine, steps_per_ramp: int = 32) -> Staircase:
@@ -60,7 +60,7 @@ def fine_staircase(machine: Machine, steps_per_ramp: int = 32) -> Staircase:
     table = machine.openings
     counts = np.where(table.rises > 0, steps_per_ramp, 1)
     fractions = _subdivided(table, counts)
-    return Staircase(read_only(fractions), read_only(_step_means(table, fractions)))
+    return Staircase(read_only(fractions), read_only(step_means(table, fractions)))
 
 
 def _subdivided(table: OpeningTable, counts: FloatArray) -> FloatArray:
@@ -106,7 +106,7 @@ def _merged(table: OpeningTable, n_steps: int) -> FloatArray:
 def _step_costs(table: OpeningTable, candidates: FloatArray) -> FloatArray:
     """Squared error of one step from candidate i to j, (K, K); infinite if j is not after i or a jump lies between."""
     widths = np.diff(candidates)
-    means = _step_means(table, candidates)
+    means = step_means(table, candidates)
     with np.errstate(invalid="ignore"):
         means = np.nan_to_num(means / np.max(table.areas, axis=0)[(0, 2),])
     # What varies within a candidate interval is lost whatever is merged, so the interval's mean stands for it.
@@ -122,7 +122,7 @@ def _step_costs(table: OpeningTable, candidates: FloatArray) -> FloatArray:
     return np.where(allowed, np.sum(errors, axis=(2, 3)), np.inf)
 
 
-def _step_means(table: OpeningTable, fractions: FloatArray) -> FloatArray:
+def step_means(table: OpeningTable, fractions: FloatArray) -> FloatArray:
     """Means of the areas over each step, shape (n_steps, 2, n_paths)."""
     if fractions is table.fractions:
         return (table.areas[:, (0, 2)] + table.areas[:, (1, 3)]) / 2

@@ -1,0 +1,244 @@
+"""LTV models whose operating points belong to the model's own cycle: "fitted" and "self-consistent".
+
+The cycle is found by marching through the steps until the state repeats (`march`, `repeat`), from rest as the nonlinear
+orbit is; where the piston sticks it is one of a band, and it may repeat only after several valve periods. Dry friction
+acts through the operating point of the velocity, its sign, as the paper's conclusion suggests: steps are cut where the
+piston stops, reverses or breaks away, and at rest x' = 0.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, final
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu.errors import NotConvergedError
+from ltvpneu.models.dynamics import STUCK, source_ranges
+from ltvpneu.models.integrator import OK
+from ltvpneu.models.linearize import HeldBack, Linearization, LtvModel, assemble
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.march import NOT_CONVERGED, Marched, Plan, Steps, march_period
+from ltvpneu.models.mesh import cut_schedule, cuts_by_error, even_cuts
+from ltvpneu.models.nonlinear import integration_settings, raise_stopped, rests_in_a_band, step_label
+from ltvpneu.models.repeat import Repeated, repeat_march
+from ltvpneu.models.runge_kutta import Run
+from ltvpneu.models.staircase import staircase
+from ltvpneu.periodic.exponential import ExponentialTrajectory
+from ltvpneu.periodic.orbit import Orbit
+
+OwnCycle = Literal["fitted", "self-consistent"]
+Spacing = Literal["adaptive", "even"]
+
+REFERENCE_TOLERANCE = 1e-6
+"""Relative tolerance of the integration over each step that the steps are fitted to, or start their search from [-]."""
+POINT_TOLERANCE = 1e-10
+CYCLE_TOLERANCE = 1e-8
+"""Scaled distance from the cycle at which the state counts as periodic [-]."""
+MAX_PERIODS = 1000
+MAX_ITERATIONS = 40
+GROWTH = 4
+"""Factor by which the number of steps grows from one round of placing them to the next."""
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Question:
+    """What is asked for, but for the steps."""
+
+    machine: Machine
+    frequency: float
+    mode: OwnCycle
+    distance: float
+
+    def plan(self, cells: FloatArray) -> Plan:
+        """Return what the march needs, for cell boundaries given as shares of the turn, (n_cells + 1,)."""
+        schedule, first_pieces, areas = cut_schedule(self.machine.openings, cells, 1 / self.frequency)
+        return Plan(
+            run=Run(schedule, self.machine.arrays, integration_settings(self.machine, REFERENCE_TOLERANCE)),
+            first_pieces=first_pieces,
+            areas=areas,
+            scales=np.array(self.machine.state_scales),
+            fitted=self.mode == "fitted",
+            distance=float(self.distance),
+            tolerance=POINT_TOLERANCE,
+            max_iterations=MAX_ITERATIONS,
+        )
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Found:
+    """A cycle of linear steps, over one or more valve periods."""
+
+    question: Question
+    cells: FloatArray
+    plan: Plan
+    repeated: Repeated
+    periods: tuple[Steps, ...]
+    """The steps of each valve period, cut to size."""
+    iterations: int
+    """Valve periods marched, in all rounds."""
+
+    @cached_property
+    def table(self) -> FloatArray:
+        """Cell, mode, duration [s], local error and iterations of every step, (n_steps, 5)."""
+        return np.concatenate([steps.table for steps in self.periods])
+
+    @property
+    def sticks(self) -> bool:
+        """Whether the piston rests anywhere."""
+        return bool((self.table[:, 1] == STUCK).any())
+
+
+def own_cycle_model(question: Question, n_steps: int, spacing: Spacing) -> LtvModel:
+    """Return the model with that many steps of the openings; cuts at stick and slip come on top.
+
+    Raises
+    ------
+    NotConvergedError
+        An operating point was not found, or the cycle does not repeat.
+    """
+    return as_model(find_cycle(question, n_steps, spacing))
+
+
+def find_cycle(question: Question, n_steps: int, spacing: Spacing, found: Found | None = None) -> Found:
+    """Return the cycle with `n_steps` cells; `found`, one with fewer, saves the first rounds."""
+    machine = question.machine
+    base = staircase(machine, min(n_steps, machine.openings.fractions.size - 1)).fractions
+    least = base.size - 1
+    n_steps = max(n_steps, least)
+    if spacing == "even" or n_steps == least:
+        return _repeated(question, even_cuts(base, n_steps), None)
+    if found is None:
+        found = _repeated(question, base, None)
+    while True:
+        n_cells = min(n_steps, GROWTH * (found.cells.size - 1))
+        table = found.table
+        # The cuts serve all valve periods of a subharmonic: each place's worst.
+        starts = np.concatenate([[0.0], np.cumsum(table[:, 2])]) * question.frequency
+        one = int(np.searchsorted(starts, 1 - 1e-9)) + 1 if found.repeated.n_periods > 1 else starts.size
+        boundaries = np.append(starts[: one - 1], 1.0)
+        found = _repeated(question, cuts_by_error(base, boundaries, table[: one - 1, 3], n_cells), found)
+        if n_cells >= n_steps:
+            return found
+
+
+def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Found:
+    machine, plan = question.machine, question.plan(cells)
+    n, capacity = len(machine.states), 2 * cells.size + 256
+    steps = Steps(
+        matrices=np.empty((capacity, n + 1, n + 1)),
+        starts=np.empty((capacity, n + 1)),
+        points=np.empty((capacity, n)),
+        inputs=np.empty((capacity, n, 3)),
+        held=np.zeros((capacity, n)),
+        table=np.empty((capacity, 5)),
+    )
+    # Where the piston rests depends on how it came there, so a cycle with rest is marched to from the machine's rest.
+    if before is None or before.sticks or before.repeated.n_periods > 1:
+        start = np.append(machine.rest_state / plan.scales, 1.0)
+    else:
+        start = before.repeated.start
+    repeated = repeat_march(start, plan, steps, CYCLE_TOLERANCE, MAX_PERIODS)
+    iterations = repeated.n_marched + (0 if before is None else before.iterations)
+    if repeated.n_periods == 0:
+        _raise_not_found(question, repeated, iterations, cells.size - 1)
+    periods = [_cut_to(steps, repeated.last.count)]
+    state = repeated.last.state
+    for _ in range(repeated.n_periods - 1):
+        marched = march_period(state, plan, steps)
+        periods.append(_cut_to(steps, marched.count))
+        state = marched.state
+    return Found(
+        question=question,
+        cells=cells,
+        plan=plan,
+        repeated=repeated,
+        periods=tuple(periods),
+        iterations=iterations,
+    )
+
+
+def _cut_to(steps: Steps, count: int) -> Steps:
+    return Steps(*(part[:count].copy() for part in steps))
+
+
+def _raise_not_found(question: Question, repeated: Repeated, iterations: int, n_cells: int) -> None:
+    marched: Marched = repeated.last
+    name = f'operating points "{question.mode}" at {question.frequency:g} Hz with {n_cells} steps'
+    if marched.status == OK:
+        raise NotConvergedError(
+            f"{name}: after {iterations} valve periods the model's cycle does not repeat; its scaled state still "
+            f"changes by {repeated.residual:.1e} over any number of periods up to 64. The machine itself may do the "
+            "same: see lp.nonlinear_orbit and lp.simulate",
+            residual=repeated.residual,
+            iterations=iterations,
+        )
+    if marched.status >= NOT_CONVERGED - 1:
+        raise NotConvergedError(
+            f"{name}: at {marched.time:.6g} s no operating point was found, however short the step; the scaled "
+            f"difference from the step's own mean is {marched.defect:.1e}. Ask for more steps",
+            residual=marched.defect,
+            iterations=iterations,
+        )
+    state = marched.state[:-1] * question.machine.state_scales
+    raise_stopped(question.machine, marched.status, marched.time, state)
+
+
+def as_model(found: Found) -> LtvModel:
+    """Return a cycle found as an LTV model."""
+    question, machine = found.question, found.question.machine
+    scales, n = machine.state_scales, len(machine.states)
+    steps = Steps(*(np.concatenate(parts) for parts in zip(*found.periods, strict=True)))
+    A = steps.matrices[:, :n, :n] * (scales[:, None] / scales)
+    f = steps.matrices[:, :n, n] * scales
+    system = assemble(
+        machine,
+        steps.table[:, 2],
+        Linearization(A=A, B=steps.inputs, r=f - steps.inputs @ machine.levels, f=f),
+        f"{machine.identifier}_ltv",
+    )
+    states = steps.starts[:, :n] * scales
+    modes = steps.table[:, 1].astype(int)
+    trajectory = ExponentialTrajectory(system=system, step_states=states)
+    orbit = Orbit(
+        system_period=1 / question.frequency,
+        n_periods=found.repeated.n_periods,
+        step_times=system.switching_times,
+        step_states=states,
+        step_labels=tuple(step_label(machine, mode) for mode in modes.tolist()),
+        trajectory=trajectory,
+        states=machine.states,
+        outputs=machine.states,
+        is_unique=not rests_in_a_band(machine, states, modes),
+        residual=found.repeated.residual,
+        n_simulated=found.repeated.n_marched,
+        name=system.name,
+    )
+    return LtvModel(
+        system=system,
+        machine=machine,
+        frequency=question.frequency,
+        operating_points=steps.points,
+        mode=question.mode,
+        held_back=_held_back(found, steps),
+        least_distance=question.distance,
+        iterations=found.iterations,
+        own_cycle=orbit,
+    )
+
+
+def _held_back(found: Found, steps: Steps) -> tuple[HeldBack, ...]:
+    machine = found.question.machine
+    if found.question.mode == "fitted":
+        # A fit's slope is that over what its step visits; the chord only stands in for what it does not visit.
+        return ()
+    sources = source_ranges(found.plan.areas, machine.arrays)
+    held: list[HeldBack] = []
+    for step, column in np.argwhere(steps.held > 0):
+        asked = float(steps.points[step, column])
+        near = sources[int(steps.table[step, 0]), column - 2]
+        used = float(near[np.argmin(np.abs(near - asked))])
+        held.append(HeldBack(step=int(step), state=machine.states[column], asked=asked, used=used))
+    return tuple(held)
