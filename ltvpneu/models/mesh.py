@@ -50,6 +50,9 @@ def cut_schedule(table: OpeningTable, cells: FloatArray, period: float) -> tuple
 
     Shapes: cells (n_cells + 1,) to first pieces (n_cells + 1,) and areas (n_cells, 2, n_paths).
     """
+    if np.array_equal(table.fractions, cells):
+        schedule = Schedule(table.fractions * period, table.areas, table.ramped)
+        return schedule, np.arange(cells.size), np.array(step_means(table, table.fractions))
     fractions = np.union1d(table.fractions, cells)
     middles = (fractions[:-1] + fractions[1:]) / 2
     piece = np.searchsorted(table.fractions, middles) - 1

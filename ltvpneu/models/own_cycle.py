@@ -30,11 +30,11 @@ from ltvpneu.periodic.orbit import Orbit
 OwnCycle = Literal["fitted", "self-consistent"]
 Spacing = Literal["adaptive", "even"]
 
-REFERENCE_TOLERANCE = 1e-6
-"""Relative tolerance of the integration over each step that the steps are fitted to, or start their search from [-]."""
+LOOSEST_REFERENCE, TIGHTEST_REFERENCE = 1e-5, 1e-7
+"""Relative tolerances of the integration over each step that the steps are fitted to, or start their search from [-]."""
 POINT_TOLERANCE = 1e-10
-CYCLE_TOLERANCE = 1e-8
-"""Scaled distance from the cycle at which the state counts as periodic [-]."""
+CYCLE_TOLERANCE = 0.1
+"""Scaled distance from the cycle at which the state counts as periodic, over the reference's tolerance [-]."""
 MAX_PERIODS = 1000
 MAX_ITERATIONS = 40
 GROWTH = 4
@@ -54,8 +54,10 @@ class Question:
     def plan(self, cells: FloatArray) -> Plan:
         """Return what the march needs, for cell boundaries given as shares of the turn, (n_cells + 1,)."""
         schedule, first_pieces, areas = cut_schedule(self.machine.openings, cells, 1 / self.frequency)
+        # In step with the error of the steps themselves, which falls with the square of their number.
+        rtol = max(LOOSEST_REFERENCE * (2 / (cells.size - 1)) ** 2, TIGHTEST_REFERENCE)
         return Plan(
-            run=Run(schedule, self.machine.arrays, integration_settings(self.machine, REFERENCE_TOLERANCE)),
+            run=Run(schedule, self.machine.arrays, integration_settings(self.machine, min(rtol, LOOSEST_REFERENCE))),
             first_pieces=first_pieces,
             areas=areas,
             scales=np.array(self.machine.state_scales),
@@ -140,7 +142,7 @@ def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Fo
         start = np.append(machine.rest_state / plan.scales, 1.0)
     else:
         start = before.repeated.start
-    repeated = repeat_march(start, plan, steps, CYCLE_TOLERANCE, MAX_PERIODS)
+    repeated = repeat_march(start, plan, steps, CYCLE_TOLERANCE * plan.run.settings.rtol, MAX_PERIODS)
     iterations = repeated.n_marched + (0 if before is None else before.iterations)
     if repeated.n_periods == 0:
         _raise_not_found(question, repeated, iterations, cells.size - 1)

@@ -1,8 +1,8 @@
 """Marching until the linear steps repeat, after one or more valve periods. Compiled.
 
 As `settle` does for the nonlinear equations. Where the piston never rests, the steps' own maps tell how the end of the
-period follows its start, so that the start of the cycle is solved for (a Newton step with the operating points
-frozen) and not waited for; rest is never leapt over, for where the piston rests depends on how it came there.
+period follows its start, so that the start of the cycle is solved for and not waited for (Broyden's method, from
+the steps' maps with the operating points frozen); rest is never leapt over, for where the piston rests depends on how it came there.
 """
 
 import math
@@ -20,6 +20,7 @@ from ltvpneu.periodic.small import exponential, multiply, solve
 
 WAIT = 2
 """Periods marched before the cycle's start is solved for."""
+MAX_LEAPS = 40
 
 
 class Repeated(NamedTuple):
@@ -35,9 +36,8 @@ class Repeated(NamedTuple):
 
 
 @compiled
-def _correction(start: FloatArray, marched: Marched, steps: Steps, change: FloatArray) -> bool:
-    """Write how far the cycle's start is from `start`, with the steps' maps as they are; False where that fails."""
-    k = start.size
+def _inverse_of_steps(k: int, marched: Marched, steps: Steps, inverse: FloatArray) -> bool:
+    """Write the inverse of I - Phi, Phi the product of the steps' own maps; False where the piston rests."""
     n = k - 1
     whole, mean, one, work = np.eye(k), np.empty((k, k)), np.empty((k, k)), np.empty((k, k))
     for row in range(marched.count):
@@ -46,30 +46,48 @@ def _correction(start: FloatArray, marched: Marched, steps: Steps, change: Float
         exponential(steps.matrices[row], steps.table[row, 2], one, mean)
         multiply(one, whole, work)
         whole, work = work, whole
-    matrix = np.empty((n, n))
-    for i in range(n):
-        change[i] = marched.state[i] - start[i]
-        for j in range(n):
-            matrix[i, j] = (1.0 if i == j else 0.0) - whole[i, j]
-    if not solve(matrix, change):
-        return False
-    for i in range(n):
-        # No leap further than the machine is long.
-        if not abs(change[i]) < 2.0:
+    matrix, column = np.empty((n, n)), np.empty(n)
+    for j in range(n):
+        for i in range(n):
+            column[i] = 1.0 if i == j else 0.0
+            for c in range(n):
+                matrix[i, c] = (1.0 if i == c else 0.0) - whole[i, c]
+        if not solve(matrix, column):
             return False
+        for i in range(n):
+            inverse[i, j] = column[i]
     return True
+
+
+@compiled
+def _learn(inverse: FloatArray, moved: FloatArray, less: FloatArray) -> None:
+    """Update the inverse so that it takes the change `less` of what is left to the move that made it (Broyden)."""
+    n = moved.size
+    left, right, scale = np.empty(n), np.empty(n), 0.0
+    for i in range(n):
+        left[i] = moved[i]
+        right[i] = 0.0
+        for j in range(n):
+            left[i] -= inverse[i, j] * less[j]
+            right[i] += moved[j] * inverse[j, i]
+    for i in range(n):
+        scale += right[i] * less[i]
+    if abs(scale) > 1e-300:
+        for i in range(n):
+            for j in range(n):
+                inverse[i, j] += left[i] * right[j] / scale
 
 
 @compiled
 def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, max_periods: int) -> Repeated:
     """March valve periods from a scaled augmented state until the state repeats, after one or more of them."""
-    k = start.size
-    n, ring = k - 1, MAX_SUBHARMONIC + 1
+    n, ring = start.size - 1, MAX_SUBHARMONIC + 1
     scales = np.ones(n)
     history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
-    begin, correction = start.copy(), np.zeros(n)
+    begin, left, before, move = start.copy(), np.empty(n), np.empty(n), np.zeros(n)
     history[0] = begin[:n]
-    done, marched, best, distance, leaping = 1, 1, math.inf, math.inf, True
+    done, marched, best, leaps, size = 1, 1, math.inf, 0, math.inf
+    inverse = np.empty((n, n))
     outcome = march_period(begin, plan, steps)
     while outcome.status == OK:
         now = outcome.state[:n]
@@ -85,20 +103,33 @@ def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, 
         if marched >= max_periods:
             break
         following = outcome.state.copy()
-        if leaping and marched >= WAIT and _correction(begin, outcome, steps, correction):
-            size = 0.0
+        if marched >= WAIT and leaps >= 0:
             for i in range(n):
-                size = max(size, abs(correction[i]))
-            if size <= tolerance:
-                return Repeated(1, marched, best, begin, outcome)
-            leaping = size < 0.7 * distance
-            distance = size
-            if leaping:
+                left[i] = now[i] - begin[i]
+            if leaps == 0:
+                leaps = 1 if _inverse_of_steps(n + 1, outcome, steps, inverse) else 0
+            else:
+                _learn(inverse, move, before - left)
+                leaps += 1
+            if leaps > 0:
+                last, size = size, 0.0
                 for i in range(n):
-                    following[i] = begin[i] + correction[i]
-                done = 0
-                changes.fill(np.inf)
-                history[0] = following[:n]
+                    move[i] = 0.0
+                    for j in range(n):
+                        move[i] += inverse[i, j] * left[j]
+                    size = max(size, abs(move[i]))
+                if size <= tolerance:
+                    return Repeated(1, marched, best, begin, outcome)
+                # No leap further than the machine is long, nor many without getting nearer; then the march goes on.
+                if not size < 2.0 or (leaps > 3 and size > last) or leaps > MAX_LEAPS:
+                    leaps = -1
+                else:
+                    before[:] = left
+                    for i in range(n):
+                        following[i] = begin[i] + move[i]
+                    done = 0
+                    changes.fill(np.inf)
+                    history[0] = following[:n]
         begin = following
         outcome = march_period(begin, plan, steps)
         done += 1
