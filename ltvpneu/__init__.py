@@ -7,6 +7,7 @@ from ltvpneu.errors import (
     MachineFileError,
     NonUniqueOrbitError,
     NoOrbitError,
+    NotConvergedError,
     NotSettledError,
     NotStabilizableError,
     NotStableError,
@@ -16,6 +17,7 @@ from ltvpneu.errors import (
 from ltvpneu.face.machine_file import load_machine
 from ltvpneu.face.plots import plot
 from ltvpneu.models.amplitude import AmplitudeResponse, amplitude_response
+from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.linearize import Linearization, LtvModel, linearize
 from ltvpneu.models.lti import lti_model
 from ltvpneu.models.ltv import ltv_model
@@ -51,6 +53,7 @@ __all__ = [
     "ChamberVolumeError",
     "Cylinder",
     "DormandPrince",
+    "ErrorEstimate",
     "Estimator",
     "Floquet",
     "FlowPath",
@@ -66,6 +69,7 @@ __all__ = [
     "MachineFileError",
     "NoOrbitError",
     "NonUniqueOrbitError",
+    "NotConvergedError",
     "NotSettledError",
     "NotStabilizableError",
     "NotStableError",

@@ -14,7 +14,6 @@ from ltvpneu.models.ltv import OperatingPoints, ltv_model
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear import nonlinear_orbit
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.steady import steady_state
 
 Model = Literal["nonlinear", "ltv", "lti"]
 MODELS: tuple[Model, ...] = ("nonlinear", "ltv", "lti")
@@ -126,5 +125,5 @@ def _orbit(machine: Machine, frequency: float, model: Model, n_steps: int, opera
     if model == "nonlinear":
         return nonlinear_orbit(machine, frequency)
     if model == "lti":
-        return steady_state(lti_model(machine, frequency).system)
-    return steady_state(ltv_model(machine, frequency, n_steps=n_steps, operating_points=operating_points).system)
+        return lti_model(machine, frequency).orbit
+    return ltv_model(machine, frequency, n_steps=n_steps, operating_points=operating_points).orbit

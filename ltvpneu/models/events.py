@@ -5,6 +5,8 @@ All are looked for on the interpolant of a step, so that their instants are as a
 
 import math
 
+import numpy as np
+
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.dynamics import STUCK, external_force, source_range
@@ -170,3 +172,21 @@ def rest_at_source(run: Run, space: Workspace) -> bool:
                 state[2 + k] = low
                 changed = changed or set_to_rest
     return changed
+
+
+@compiled
+def after_event(kind: int, state: FloatArray, scales: FloatArray, machine: MachineArrays) -> int:
+    """Bring a scaled state to rest at an event that it has reached, and return the mode it goes on in."""
+    state[1] = 0.0
+    if kind == 1:
+        state[0] = machine.load.lower_stop / scales[0]
+    elif kind == 2:
+        state[0] = machine.load.upper_stop / scales[0]
+    z = np.empty(scales.size)
+    for i in range(scales.size):
+        z[i] = state[i] * scales[i]
+    mode = mode_of(z, machine)
+    if kind == 3 and mode == STUCK:
+        # Rounding must not hold what has just broken away.
+        mode = 1 if external_force(z, machine) > 0.0 else -1
+    return mode

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array
 from ltvpneu.models.dynamics import state_rate, tangents
+from ltvpneu.models.error_estimate import ErrorEstimate, error_estimate
 from ltvpneu.models.machine import Machine
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
@@ -144,8 +145,8 @@ def _check_domain(machine: Machine, states: FloatArray) -> None:
 class HeldBack:
     """An operating point that was kept inside the range where the linearization means something.
 
-    In a self-consistent model the point itself stays, and its slope is, in part, that of the chord from it to a source's
-    pressure: then `used` is the latter.
+    In a self-consistent model the point itself stays, and its slope is, in part, that of the chord from it to a
+    source's pressure: then `used` is the latter.
     """
 
     step: int
@@ -195,6 +196,19 @@ class LtvModel:
         return steady_state(self.system) if self.own_cycle is None else self.own_cycle
 
     @cached_property
+    def error_estimate(self) -> ErrorEstimate:
+        """How far the model's amplitude, mean and extremes are from the nonlinear machine's.
+
+        From the defect of its cycle in the nonlinear equations; the nonlinear model is not simulated.
+
+        Raises
+        ------
+        NoOrbitError, NonUniqueOrbitError
+            The model has no cycle.
+        """
+        return error_estimate(self.machine, self.frequency, self.orbit, self.least_distance)
+
+    @cached_property
     def residual(self) -> float:
         """Largest difference between the operating pressures and the means of the model's own cycle over the steps [-].
 
@@ -206,9 +220,7 @@ class LtvModel:
         return float(np.max(np.abs(differences))) / self.machine.supply_pressure
 
 
-def assemble(
-    machine: Machine, durations: FloatArray, linearization: Linearization, name: str
-) -> PeriodicSystem:
+def assemble(machine: Machine, durations: FloatArray, linearization: Linearization, name: str) -> PeriodicSystem:
     """Return the steps as a `PeriodicSystem` whose inputs are the source pressures and the load force."""
     N, n = linearization.r.shape
     outputs = np.zeros((N, n, n))

@@ -10,7 +10,7 @@ from ltvpneu.models.linearize import LtvModel, Tangent, assemble, linearize_step
 from ltvpneu.models.lti import lti_model_of_turn
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.operating_points import LEAST_DISTANCE, Turn, held_inside, quasi_static_turn
-from ltvpneu.models.own_cycle import Question, Spacing, own_cycle_model
+from ltvpneu.models.own_cycle import Question, Spacing, model_to_tolerance, own_cycle_model
 from ltvpneu.models.staircase import staircase
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.steady import periodic_states
@@ -23,15 +23,16 @@ MODES: tuple[OperatingPoints, ...] = (
 )  # fmt: skip
 
 
-def ltv_model(
+def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     machine: Machine,
     frequency: float,
     *,
-    n_steps: int = 2,
-    operating_points: OperatingPoints | NDArray[np.float64] = "lti",
-    tangent: Tangent = "paper",
+    n_steps: int | None = None,
+    operating_points: OperatingPoints | NDArray[np.float64] | None = None,
+    tangent: Tangent | None = None,
     least_distance: float = LEAST_DISTANCE,
     spacing: Spacing = "adaptive",
+    rtol: float | None = None,
 ) -> LtvModel:
     """Return the linear time-varying model of a machine.
 
@@ -40,29 +41,44 @@ def ltv_model(
     machine : Machine
     frequency : float
         Switching frequency [Hz].
-    n_steps : int
-        N_s, steps of the staircase over one turn; at least the number of valve positions. A position that lasts across
-        the start of the turn is cut in two there, and counts as one where no more steps are asked for than positions.
-    operating_points : str or ndarray, shape (n_steps, n)
-        "lti": means over each step of the LTI model's cycle (17), the position held at its mean over the turn, which
-        the paper found more accurate; "lti-position": the position by (17) too; "mean": the cycle's means over the
-        whole period (15); "quasi-static": the mean over the turn of the quasi-static states (15)-(16);
+    n_steps : int, optional
+        N_s, steps of the staircase over one turn; at least the number of valve positions. Default 2. A position that
+        lasts across the start of the turn is cut in two there, and counts as one where no more steps are asked for than
+        positions. "fitted" and "self-consistent" models are also cut where the piston stops, reverses or breaks away,
+        and where no operating point is found for a whole step.
+    operating_points : str or ndarray, shape (n_steps, n), optional
+        "lti", the default: means over each step of the LTI model's cycle (17), the position held at its mean over the
+        turn, which the paper found more accurate; "lti-position": the position by (17) too; "mean": the cycle's means
+        over the whole period (15); "quasi-static": the mean over the turn of the quasi-static states (15)-(16);
         "quasi-static-steps": those states themselves (16), in the wrong phase but at very low speed; or states
         [m, m/s, Pa], one row a step.
-    tangent : {"paper", "full"}
-        See `linearize`.
+
+        "self-consistent": full tangents about the means of the model's own cycle over its steps, with dry friction and
+        stiction; tends to the nonlinear model as steps are added. "fitted": likewise, but the pressure rates are fitted
+        over what each step visits (equivalent linearization), which is accurate with few steps.
+    tangent : {"paper", "full"}, optional
+        See `linearize`; "paper" by default. Not for "fitted" and "self-consistent", which have their own.
     least_distance : float
         Relative distance kept from pressures where the slope of the flow is infinite [-].
+    spacing : {"adaptive", "even"}
+        Of the steps of "fitted" and "self-consistent" models beyond the valve's positions: where each step's error is
+        largest, or even in time.
+    rtol : float, optional
+        Instead of `n_steps`: take as many steps, up to 2048, as make the estimated relative error of the position's
+        amplitude no larger. For "fitted", then the default, and "self-consistent".
 
     Returns
     -------
     LtvModel
-        Dry friction and stiction are neglected, as in the paper's section 6.
+        Dry friction and stiction are neglected, as in the paper's section 6, but in "fitted" and "self-consistent"
+        models. `.error_estimate` says how far off it is.
 
     Raises
     ------
     ValueError
-        Arguments out of range, no spring where a quasi-static position is needed.
+        Arguments out of range or at odds, no spring where a quasi-static position is needed.
+    NotConvergedError
+        An operating point or the model's cycle was not found, or `rtol` not reached; carries the residual.
 
     Examples
     --------
@@ -72,15 +88,39 @@ def ltv_model(
     40 mm
     >>> model.system.steps[0].sys.input_labels
     ['supply_pressure', 'exhaust_pressure', 'load_force']
+
+    With dry friction, as accurate as asked for:
+
+    >>> model = lp.ltv_model(lp.load_machine("kunt_singh_1990"), frequency=4.0, rtol=0.01)
+    >>> print(f"{1e3 * model.orbit.amplitude('position'):.1f} mm")
+    35.2 mm
     """
     positive("frequency", frequency, "Hz")
     not_negative("least_distance", least_distance)
-    iterations, mode, held_back = 0, "given", ()
-    if operating_points == "fitted" or operating_points == "self-consistent":
+    if spacing not in ("adaptive", "even"):
+        raise ValueError(f'spacing: found {spacing!r}, expected "adaptive" or "even"')
+    if operating_points is None:
+        operating_points = "lti" if rtol is None else "fitted"
+    if isinstance(operating_points, str) and operating_points in ("fitted", "self-consistent"):
+        if tangent is not None:
+            raise ValueError(f"tangent: found {tangent!r}, but {operating_points!r} operating points have their own")
         question = Question(
-            machine=machine, frequency=float(frequency), mode=operating_points, distance=least_distance
+            machine=machine, frequency=float(frequency), mode=operating_points, distance=float(least_distance)
         )
-        return own_cycle_model(question, whole("n_steps", n_steps), spacing)
+        if rtol is None:
+            return own_cycle_model(question, whole("n_steps", 2 if n_steps is None else n_steps), spacing)
+        if n_steps is not None:
+            raise ValueError(f"n_steps, rtol: found {n_steps} and {rtol:g}, expected one of them")
+        return model_to_tolerance(question, positive("rtol", rtol), spacing)
+    if rtol is not None:
+        raise ValueError(
+            f"rtol: found {rtol:g} with operating points {operating_points!r}, whose error more steps do not mend; "
+            'expected "fitted" or "self-consistent"'
+        )
+    if spacing != "adaptive":
+        raise ValueError(f"spacing: found {spacing!r}, which is for fitted and self-consistent models")
+    n_steps, tangent = 2 if n_steps is None else n_steps, "paper" if tangent is None else tangent
+    iterations, mode, held_back = 0, "given", ()
     if isinstance(operating_points, str):
         mode = operating_points
         turn = quasi_static_turn(machine, n_steps)

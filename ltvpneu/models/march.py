@@ -18,12 +18,19 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, IntArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.dynamics import STUCK, chamber_volume, external_force
-from ltvpneu.models.events import margin_at, mode_of
+from ltvpneu.models.dynamics import STUCK, chamber_volume
+from ltvpneu.models.events import after_event, margin_at, mode_of
 from ltvpneu.models.integrator import OK, Log, advance, new_workspace
-from ltvpneu.models.machine import MachineArrays
 from ltvpneu.models.runge_kutta import Run, Workspace, copy
-from ltvpneu.models.step_models import DECAY_AT_REST, Visited, augmented, fit_visited, mean_visited, tangent_at
+from ltvpneu.models.step_models import (
+    DECAY_AT_REST,
+    Tangent,
+    Visited,
+    augmented,
+    fit_visited,
+    mean_visited,
+    tangent_at,
+)
 from ltvpneu.periodic.small import advanced, apply, exponential, solve
 
 TOO_MANY_EVENTS, NOT_CONVERGED = 11, 12
@@ -76,7 +83,7 @@ class Marched(NamedTuple):
     """Where a march over one period got to."""
 
     status: int
-    count: int
+    n_steps: int
     """Steps taken."""
     time: float
     state: FloatArray
@@ -128,26 +135,26 @@ def _on_event(
 
 @compiled
 def _follow(
-    start: FloatArray, where: tuple[int, int, int], span: tuple[float, float], visited: Visited, plan: Plan,
-    steps: Steps, row: int,
+    start: FloatArray, where: tuple[int, int, int, int], span: tuple[float, float], visited: Visited,
+    plan: Plan, steps: Steps,
 ) -> tuple[bool, FloatArray, FloatArray, float]:  # fmt: skip
     """Build one step's linear model at its operating point and follow it.
 
-    `where`: cell, mode, event; `span`: duration looked at, longest one. Returns whether the equations hold at the
+    `where`: cell, mode, event, row; `span`: duration looked at, longest one. Returns whether the equations hold at the
     operating point, the scaled means and the scaled state at the step's end, and its duration.
     """
-    cell, mode, kind = where
+    cell, mode, kind, row = where
     duration, longest = span
     n = plan.scales.size
-    A, rate, matrix, point = np.empty((n, n)), np.empty(n), steps.matrices[row], steps.points[row]
+    matrix, point = steps.matrices[row], steps.points[row]
+    found = Tangent(np.empty((n, n)), steps.inputs[row], np.empty(n), steps.held[row])
     result, mean = np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
     end, means = np.empty(n + 1), np.empty(n + 1)
-    areas, held = plan.areas[cell], steps.held[row]
-    if not tangent_at(point, areas, mode, plan.run.machine, plan.distance, A, steps.inputs[row], rate, held):
+    if not tangent_at(point, plan.areas[cell], mode, plan.run.machine, plan.distance, found):
         return False, means, end, duration
     if mode == STUCK:
-        A[1, 1] = -DECAY_AT_REST / duration
-    augmented(A, point, rate, plan.scales, matrix)
+        found.A[1, 1] = -DECAY_AT_REST / duration
+    augmented(found.A, point, found.rate, plan.scales, matrix)
     if plan.fitted:
         fit_visited(visited, point, plan.run.machine, mode, plan.scales, matrix)
     exponential(matrix, duration, result, mean)
@@ -181,8 +188,8 @@ def _defect(found: bool, means: FloatArray, guess: FloatArray) -> float:
 
 @compiled
 def _linear_step(
-    start: FloatArray, where: tuple[int, int, int], span: tuple[float, float], visited: Visited, plan: Plan,
-    steps: Steps, row: int,
+    start: FloatArray, where: tuple[int, int, int, int], span: tuple[float, float], visited: Visited,
+    plan: Plan, steps: Steps,
 ) -> Ended:  # fmt: skip
     """Find one step's linear model, whose operating point is the mean of the step itself, and follow it.
 
@@ -190,54 +197,57 @@ def _linear_step(
     Newton steps with a matrix of difference quotients.
     """
     n = plan.scales.size
-    point, guess = steps.points[row], np.empty(n)
+    point, guess = steps.points[where[3]], np.empty(n)
     copy(mean_visited(visited), point)
     for i in range(n):
         guess[i] = point[i] / plan.scales[i]
-    found, means, end, duration = _follow(start, where, span, visited, plan, steps, row)
+    found, means, end, duration = _follow(start, where, span, visited, plan, steps)
     if plan.fitted:
         for i in range(n):
             point[i] = means[i] * plan.scales[i]
         return Ended(end, duration, 0.0 if found else math.inf, 1)
-    defect, iterations = _defect(found, means, guess), 1
-    matrix, step = np.empty((n, n)), np.empty(n)
-    newton = False
+    defect, iterations, newton = _defect(found, means, guess), 1, False
     while defect > plan.tolerance and iterations < plan.max_iterations and math.isfinite(defect):
-        for i in range(n):
-            step[i] = means[i] - guess[i]
-        if newton:
-            for j in range(n):
-                moved = guess.copy()
-                small = 1e-6 * max(1.0, abs(guess[j]))
-                moved[j] += small
-                _set_point(moved, plan.scales, point)
-                _, others, _, _ = _follow(start, where, span, visited, plan, steps, row)
-                for i in range(n):
-                    matrix[i, j] = (1.0 if i == j else 0.0) - (others[i] - means[i]) / small
-            if not solve(matrix, step):
-                break
-        share = 1.0
-        while True:
+        step = means[:n] - guess
+        if newton and not _newton_step(start, where, span, visited, plan, steps, guess, means, step):
+            break
+        share, following, moved, others = 1.0, math.inf, guess, means
+        while share > 1e-4:
             moved = guess + share * step
             _set_point(moved, plan.scales, point)
-            found, others, end, duration = _follow(start, where, span, visited, plan, steps, row)
+            found, others, end, duration = _follow(start, where, span, visited, plan, steps)
             iterations += 1
             following = _defect(found, others, moved)
-            if following <= (1.0 - 0.5 * share) * defect or following <= plan.tolerance:
-                break
-            if not newton or share < 1e-4:
+            if not newton or following <= (1.0 - 0.5 * share) * defect or following <= plan.tolerance:
                 break
             share *= 0.5
-        if following >= defect and newton:
-            break
-        if following > 0.5 * defect and not newton:
+        if following >= defect:
+            if newton:
+                break
             newton = True
-            if following >= defect:
-                continue
-        defect = following
-        copy(moved, guess)
-        copy(others, means)
+            continue
+        newton = newton or following > 0.5 * defect
+        defect, guess, means = following, moved, others
     return Ended(end, duration, defect, iterations)
+
+
+@compiled
+def _newton_step(  # noqa: PLR0913 - compiled, and called from one place
+    start: FloatArray, where: tuple[int, int, int, int], span: tuple[float, float], visited: Visited,
+    plan: Plan, steps: Steps, guess: FloatArray, means: FloatArray, step: FloatArray,
+) -> bool:  # fmt: skip
+    """Turn `step`, means less guess, into Newton's, with difference quotients over the operating point."""
+    n = guess.size
+    matrix, point = np.empty((n, n)), steps.points[where[3]]
+    for j in range(n):
+        moved = guess.copy()
+        small = 1e-6 * max(1.0, abs(guess[j]))
+        moved[j] += small
+        _set_point(moved, plan.scales, point)
+        _, others, _, _ = _follow(start, where, span, visited, plan, steps)
+        for i in range(n):
+            matrix[i, j] = (1.0 if i == j else 0.0) - (others[i] - means[i]) / small
+    return solve(matrix, step)
 
 
 @compiled
@@ -274,13 +284,14 @@ def _is_inside(state: FloatArray, plan: Plan) -> bool:
 
 
 class _Place(NamedTuple):
-    """Where a march is: time [s], piece, scaled augmented state, mode, steps taken."""
+    """Where a march is: time [s], piece, scaled augmented state, mode, steps taken, cell."""
 
     time: float
     piece: int
     state: FloatArray
     mode: int
     row: int
+    cell: int
 
 
 class _Taken(NamedTuple):
@@ -296,7 +307,7 @@ class _Taken(NamedTuple):
 
 
 @compiled
-def _take_step(place: _Place, cell: int, end: float, plan: Plan, steps: Steps, space: Workspace, log: Log) -> _Taken:
+def _take_step(place: _Place, end: float, plan: Plan, steps: Steps, space: Workspace, log: Log) -> _Taken:
     """Take one step from a place to the end of its cell, or to an event, or less far.
 
     Where no operating point is found, or the step leaves the equations' domain, half of it is tried, and so on.
@@ -313,8 +324,8 @@ def _take_step(place: _Place, cell: int, end: float, plan: Plan, steps: Steps, s
             return _Taken(OK, place.time, kind, place.state, piece, 0.0, False)
         duration = stop - place.time
         visited = Visited(log.rows[: log.n_logged, 1], log.coefficients[: log.n_logged])
-        where, span = (cell, place.mode, kind), (duration, end - place.time)
-        one = _linear_step(place.state, where, span, visited, plan, steps, place.row)
+        where, span = (place.cell, place.mode, kind, place.row), (duration, end - place.time)
+        one = _linear_step(place.state, where, span, visited, plan, steps)
         taken = _Taken(
             NOT_CONVERGED, place.time + one.duration if kind >= 0 else stop, kind, one.state, piece, one.defect, True
         )
@@ -324,7 +335,13 @@ def _take_step(place: _Place, cell: int, end: float, plan: Plan, steps: Steps, s
                 error = max(error, abs(one.state[i] - space.state[i] / plan.scales[i]))
             copy(place.state, steps.starts[place.row])
             table = steps.table[place.row]
-            table[0], table[1], table[2], table[3], table[4] = cell, place.mode, one.duration, error, one.iterations
+            table[0], table[1], table[2], table[3], table[4] = (
+                place.cell,
+                place.mode,
+                one.duration,
+                error,
+                one.iterations,
+            )
             return _Taken(OK, taken.time, kind, one.state, piece, one.defect, True)
         longest = 0.5 * duration
     return taken
@@ -341,14 +358,16 @@ def march_period(start: FloatArray, plan: Plan, steps: Steps) -> Marched:
     log = Log(np.empty((64, 4)), np.empty((64, 5, n)), 0)
     row, worst, mode = 0, 0.0, mode_of(z, machine)
     for cell in range(plan.areas.shape[0]):
-        piece, time, end = plan.first_pieces[cell], times[plan.first_pieces[cell]], times[plan.first_pieces[cell + 1]]
+        piece: int = plan.first_pieces[cell]
+        time = float(times[piece])
+        end = float(times[plan.first_pieces[cell + 1]])
         if mode != STUCK and state[1] != 0.0:
             mode = 1 if state[1] > 0.0 else -1
         events = 0
         while time < end:
             if row >= steps.table.shape[0] or events > MAX_EVENTS:
                 return Marched(TOO_MANY_EVENTS, row, time, state, worst)
-            taken = _take_step(_Place(time, piece, state, mode, row), cell, end, plan, steps, space, log)
+            taken = _take_step(_Place(time, piece, state, mode, row, cell), end, plan, steps, space, log)
             worst = max(worst, taken.defect)
             if taken.status != OK:
                 return Marched(taken.status, row, taken.time, taken.state, worst)
@@ -362,13 +381,5 @@ def march_period(start: FloatArray, plan: Plan, steps: Steps) -> Marched:
             if taken.kind < 0 or time >= end:
                 continue
             events += 1
-            state[1] = 0.0
-            if taken.kind == 1:
-                state[0] = machine.load.lower_stop / scales[0]
-            elif taken.kind == 2:
-                state[0] = machine.load.upper_stop / scales[0]
-            _physical(state, scales, z)
-            mode = mode_of(z, machine)
-            if taken.kind == 3 and mode == STUCK:
-                mode = 1 if external_force(z, machine) > 0.0 else -1
+            mode = after_event(taken.kind, state, scales, machine)
     return Marched(OK, row, times[-1], state, worst)

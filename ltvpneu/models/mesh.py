@@ -1,13 +1,13 @@
 """Where the steps go: cuts of the turn, even or by the error that each step makes.
 
-A step's local error falls with the third power of its length, so n pieces of a step of error e make e / n^3 each. Cuts go
-one by one to the step whose pieces make the most. Near an infinite slope the power is lower; a few rounds of marching
-and cutting anew close in on it all the same.
+A step's local error falls with the third power of its length, so n pieces of a step of error e make e / n^3 each. Cuts
+go one by one to the step whose pieces make the most. Near an infinite slope the power is lower; a few rounds of
+marching and cutting anew close in on it all the same.
 """
 
 import numpy as np
 
-from ltvpneu._arrays import BoolArray, FloatArray
+from ltvpneu._arrays import BoolArray, FloatArray, IntArray
 from ltvpneu.models.machine import OpeningTable
 from ltvpneu.models.runge_kutta import Schedule
 from ltvpneu.models.staircase import step_means
@@ -45,14 +45,14 @@ def even_cuts(boundaries: FloatArray, n_cells: int) -> FloatArray:
     return np.append(np.concatenate(cuts), 1.0)
 
 
-def cut_schedule(table: OpeningTable, cells: FloatArray, period: float) -> tuple[Schedule, FloatArray, FloatArray]:
+def cut_schedule(table: OpeningTable, cells: FloatArray, period: float) -> tuple[Schedule, IntArray, FloatArray]:
     """Return the openings on pieces that end at the cells' boundaries too, each cell's first piece, and its mean areas.
 
     Shapes: cells (n_cells + 1,) to first pieces (n_cells + 1,) and areas (n_cells, 2, n_paths).
     """
     if np.array_equal(table.fractions, cells):
         schedule = Schedule(table.fractions * period, table.areas, table.ramped)
-        return schedule, np.arange(cells.size), np.array(step_means(table, table.fractions))
+        return schedule, np.arange(cells.size), np.array(step_means(table, table.fractions), order="C")
     fractions = np.union1d(table.fractions, cells)
     middles = (fractions[:-1] + fractions[1:]) / 2
     piece = np.searchsorted(table.fractions, middles) - 1
@@ -69,4 +69,4 @@ def cut_schedule(table: OpeningTable, cells: FloatArray, period: float) -> tuple
     ramped: BoolArray = table.ramped[piece]
     areas.setflags(write=False)
     schedule = Schedule(fractions * period, areas, ramped)
-    return schedule, np.searchsorted(fractions, cells), np.array(step_means(table, cells))
+    return schedule, np.searchsorted(fractions, cells), np.array(step_means(table, cells), order="C")

@@ -371,6 +371,8 @@ def rests_in_a_band(machine: Machine, states: FloatArray, modes: IntArray) -> bo
     """
     if modes[0] != STUCK or not machine.has_dry_friction or not (modes == STUCK).all():
         return False
+    if machine.cylinder.lower_stop < states[0, 0] < machine.cylinder.upper_stop:
+        return True
     forces = [external_force(state, machine.arrays) for state in states]
     hold = holding_force(machine.load.dry_friction, machine.load.stiction)
     # Pressed against an end stop by more than stiction holds, it has nowhere else to rest.

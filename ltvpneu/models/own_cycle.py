@@ -6,6 +6,7 @@ acts through the operating point of the velocity, its sign, as the paper's concl
 piston stops, reverses or breaks away, and at rest x' = 0.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, final
@@ -31,12 +32,13 @@ OwnCycle = Literal["fitted", "self-consistent"]
 Spacing = Literal["adaptive", "even"]
 
 LOOSEST_REFERENCE, TIGHTEST_REFERENCE = 1e-5, 1e-7
-"""Relative tolerances of the integration over each step that the steps are fitted to, or start their search from [-]."""
+"""Relative tolerances of the integration over each step, to which it is fitted or from which its search starts [-]."""
 POINT_TOLERANCE = 1e-10
 CYCLE_TOLERANCE = 0.1
 """Scaled distance from the cycle at which the state counts as periodic, over the reference's tolerance [-]."""
-MAX_PERIODS = 1000
+MAX_PERIODS = 5000
 MAX_ITERATIONS = 40
+MOST_STEPS = 2048
 GROWTH = 4
 """Factor by which the number of steps grows from one round of placing them to the next."""
 
@@ -104,6 +106,34 @@ def own_cycle_model(question: Question, n_steps: int, spacing: Spacing) -> LtvMo
     return as_model(find_cycle(question, n_steps, spacing))
 
 
+def model_to_tolerance(question: Question, rtol: float, spacing: Spacing) -> LtvModel:
+    """Return the model with as few steps, by factors of two, as its own error estimate asks for.
+
+    Raises
+    ------
+    NotConvergedError
+        The estimate stays above `rtol` with `MOST_STEPS` steps, or a cycle was not found.
+    """
+    n_steps, found = 2, None
+    while True:
+        found = find_cycle(question, n_steps, spacing, found)
+        model = as_model(found)
+        estimate = model.error_estimate
+        # Of a piston at rest, the error is that of its pressures.
+        errors = [abs(estimate.relative_amplitude(i)) for i in (0, 2) if model.orbit.amplitude(i) > 0]
+        if estimate.is_reliable and (not errors or errors[0] <= rtol):
+            return model
+        if n_steps >= MOST_STEPS:
+            worst = errors[0] if errors else math.inf
+            raise NotConvergedError(
+                f"rtol: found {rtol:g}, but with {n_steps} steps the amplitude of the position is still estimated to "
+                f"be {worst:.1e} off. Ask for less, or look at lp.nonlinear_orbit",
+                residual=worst,
+                iterations=found.iterations,
+            )
+        n_steps = max(2 * n_steps, found.cells.size)
+
+
 def find_cycle(question: Question, n_steps: int, spacing: Spacing, found: Found | None = None) -> Found:
     """Return the cycle with `n_steps` cells; `found`, one with fewer, saves the first rounds."""
     machine = question.machine
@@ -146,11 +176,11 @@ def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Fo
     iterations = repeated.n_marched + (0 if before is None else before.iterations)
     if repeated.n_periods == 0:
         _raise_not_found(question, repeated, iterations, cells.size - 1)
-    periods = [_cut_to(steps, repeated.last.count)]
+    periods = [_cut_to(steps, repeated.last.n_steps)]
     state = repeated.last.state
     for _ in range(repeated.n_periods - 1):
         marched = march_period(state, plan, steps)
-        periods.append(_cut_to(steps, marched.count))
+        periods.append(_cut_to(steps, marched.n_steps))
         state = marched.state
     return Found(
         question=question,

@@ -2,7 +2,8 @@
 
 As `settle` does for the nonlinear equations. Where the piston never rests, the steps' own maps tell how the end of the
 period follows its start, so that the start of the cycle is solved for and not waited for (Broyden's method, from
-the steps' maps with the operating points frozen); rest is never leapt over, for where the piston rests depends on how it came there.
+the steps' maps with the operating points frozen). Rest is never leapt over, for where the piston rests depends on how
+it came there.
 """
 
 import math
@@ -40,7 +41,7 @@ def _inverse_of_steps(k: int, marched: Marched, steps: Steps, inverse: FloatArra
     """Write the inverse of I - Phi, Phi the product of the steps' own maps; False where the piston rests."""
     n = k - 1
     whole, mean, one, work = np.eye(k), np.empty((k, k)), np.empty((k, k)), np.empty((k, k))
-    for row in range(marched.count):
+    for row in range(marched.n_steps):
         if steps.table[row, 1] == STUCK:
             return False
         exponential(steps.matrices[row], steps.table[row, 2], one, mean)
@@ -79,15 +80,26 @@ def _learn(inverse: FloatArray, moved: FloatArray, less: FloatArray) -> None:
 
 
 @compiled
+def _move(inverse: FloatArray, left: FloatArray, move: FloatArray) -> float:
+    """Write how far to move the start of the cycle, from what a period leaves to go; return the largest part."""
+    size = 0.0
+    for i in range(left.size):
+        move[i] = 0.0
+        for j in range(left.size):
+            move[i] += inverse[i, j] * left[j]
+        size = max(size, abs(move[i])) if math.isfinite(move[i]) else math.inf
+    return size
+
+
+@compiled
 def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, max_periods: int) -> Repeated:
     """March valve periods from a scaled augmented state until the state repeats, after one or more of them."""
     n, ring = start.size - 1, MAX_SUBHARMONIC + 1
     scales = np.ones(n)
-    history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
-    begin, left, before, move = start.copy(), np.empty(n), np.empty(n), np.zeros(n)
+    history, changes, inverse = np.empty((ring, n)), np.full((ring, ring), np.inf), np.empty((n, n))
+    begin, before, move = start.copy(), np.empty(n), np.zeros(n)
     history[0] = begin[:n]
     done, marched, best, leaps, size = 1, 1, math.inf, 0, math.inf
-    inverse = np.empty((n, n))
     outcome = march_period(begin, plan, steps)
     while outcome.status == OK:
         now = outcome.state[:n]
@@ -104,30 +116,20 @@ def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, 
             break
         following = outcome.state.copy()
         if marched >= WAIT and leaps >= 0:
-            for i in range(n):
-                left[i] = now[i] - begin[i]
-            if leaps == 0:
-                leaps = 1 if _inverse_of_steps(n + 1, outcome, steps, inverse) else 0
-            else:
-                _learn(inverse, move, before - left)
-                leaps += 1
+            left = now - begin[:n]
             if leaps > 0:
-                last, size = size, 0.0
-                for i in range(n):
-                    move[i] = 0.0
-                    for j in range(n):
-                        move[i] += inverse[i, j] * left[j]
-                    size = max(size, abs(move[i]))
+                _learn(inverse, move, before - left)
+            if leaps > 0 or _inverse_of_steps(n + 1, outcome, steps, inverse):
+                leaps += 1
+                last, size = size, _move(inverse, left, move)
                 if size <= tolerance:
                     return Repeated(1, marched, best, begin, outcome)
                 # No leap further than the machine is long, nor many without getting nearer; then the march goes on.
                 if not size < 2.0 or (leaps > 3 and size > last) or leaps > MAX_LEAPS:
                     leaps = -1
                 else:
-                    before[:] = left
-                    for i in range(n):
-                        following[i] = begin[i] + move[i]
-                    done = 0
+                    before, done = left, 0
+                    following[:n] = begin[:n] + move
                     changes.fill(np.inf)
                     history[0] = following[:n]
         begin = following

@@ -47,12 +47,24 @@ LEAST_SEPARATION = 1e-5
 """Relative distance from a source's pressure within which the flow counts as a straight line through zero [-]."""
 
 
+class Tangent(NamedTuple):
+    """Where a tangent is written to, in physical units."""
+
+    A: FloatArray
+    """(n, n)"""
+    B: FloatArray
+    """Over the inputs, (n, 3)."""
+    rate: FloatArray
+    """(n,)"""
+    held: FloatArray
+    """Share of the chord in each pressure's slope, from 0 to 1, (n,)."""
+
+
 @compiled
 def tangent_at(
-    state: FloatArray, areas: FloatArray, mode: int, machine: MachineArrays, distance: float,
-    A: FloatArray, B: FloatArray, rate: FloatArray, held: FloatArray,
-) -> bool:  # fmt: skip
-    """Write the rate at a state and its tangent in one mode of motion, in physical units; False outside the domain.
+    state: FloatArray, areas: FloatArray, mode: int, machine: MachineArrays, distance: float, found: Tangent
+) -> bool:
+    """Write the rate at a state and its tangent in one mode of motion; False outside the equations' domain.
 
     Parameters
     ----------
@@ -62,15 +74,13 @@ def tangent_at(
     machine : MachineArrays
     distance : float
         Relative distance from a source's pressure within which the slope goes over to that of the chord to it.
-    A, B, rate : ndarray, shapes (n, n), (n, 3) and (n,)
-        Results.
-    held : ndarray, shape (n,)
-        Result: share of the chord in each pressure's slope, from 0 to 1.
+    found : Tangent
+        Result.
     """
-    n = state.size
-    inside = state_rate(state, areas, mode, machine, rate)
+    n, A, held = state.size, found.A, found.held
+    inside = state_rate(state, areas, mode, machine, found.rate)
     if inside:
-        state_tangent(state, areas, machine, True, A, B)
+        state_tangent(state, areas, machine, True, A, found.B)
         for k in range(2, n):
             held[k] = 0.0
             low, high = source_range(k - 2, areas, machine)
@@ -78,13 +88,13 @@ def tangent_at(
             apart = state[k] - source
             if math.isfinite(source) and abs(apart) < distance * source:
                 held[k] = 1.0 - abs(apart) / (distance * source)
-                _chord(state, k, source, areas, mode, machine, A, B, rate, held[k])
+                _chord(state, (k, source, held[k]), areas, mode, machine, found)
         if mode == STUCK:
             A[0, 1] = 0.0
             for j in range(n):
                 A[1, j] = 0.0
             for j in range(3):
-                B[1, j] = 0.0
+                found.B[1, j] = 0.0
             for k in range(2, n):
                 A[k, 1] = 0.0
     return inside
@@ -92,13 +102,15 @@ def tangent_at(
 
 @compiled
 def _chord(
-    state: FloatArray, k: int, source: float, areas: FloatArray, mode: int, machine: MachineArrays,
-    A: FloatArray, B: FloatArray, rate: FloatArray, share: float,
+    state: FloatArray, near: tuple[int, float, float], areas: FloatArray, mode: int, machine: MachineArrays,
+    found: Tangent,
 ) -> None:  # fmt: skip
     """Blend the chord from a pressure to a near source's into its slope, and the difference into the source's column.
 
     The flow depends on the difference of the two, nearly. Within `LEAST_SEPARATION` the rate is on the chord too.
+    `near` holds the state's number, the source's pressure and the chord's share.
     """
+    k, source, share = near
     n = state.size
     least = LEAST_SEPARATION * source
     apart = state[k] - source
@@ -112,12 +124,12 @@ def _chord(
     state_tangent(point, areas, machine, True, others, inputs)
     chord = (away[k] - at_source[k]) / reached
     if abs(apart) < least:
-        rate[k] = at_source[k] + chord * apart
-    A[k, k] = share * chord + (1.0 - share) * others[k, k]
+        found.rate[k] = at_source[k] + chord * apart
+    found.A[k, k] = share * chord + (1.0 - share) * others[k, k]
     for j in range(3):
-        B[k, j] = inputs[k, j]
-    near = 0 if source == machine.supply.pressure else 1
-    B[k, near] += others[k, k] - A[k, k]
+        found.B[k, j] = inputs[k, j]
+    column = 0 if source == machine.supply.pressure else 1
+    found.B[k, column] += others[k, k] - found.A[k, k]
 
 
 @compiled
