@@ -23,6 +23,9 @@ from ltvpneu.models.lti import lti_model
 from ltvpneu.models.ltv import ltv_model
 from ltvpneu.models.machine import FlowPath, Machine
 from ltvpneu.models.nonlinear import DormandPrince, RungeKutta4, nonlinear_orbit, simulate
+from ltvpneu.models.parameters import ParameterSensitivity, nonlinear_sensitivity, parameter_sensitivity
+from ltvpneu.models.stiction_band import StictionBand, stiction_band
+from ltvpneu.models.variational import OrbitFloquet, orbit_floquet
 from ltvpneu.periodic.floquet import Floquet, floquet, monodromy
 from ltvpneu.periodic.gramians import Gramians, gramians
 from ltvpneu.periodic.harmonic import frequency_response, harmonic_transfer
@@ -75,6 +78,8 @@ __all__ = [
     "NotStableError",
     "OnOffValve",
     "Orbit",
+    "OrbitFloquet",
+    "ParameterSensitivity",
     "PeriodicSystem",
     "Port",
     "ProductMultipliers",
@@ -86,6 +91,7 @@ __all__ = [
     "SkippedStepError",
     "Step",
     "StepOverflowError",
+    "StictionBand",
     "SwitchAware",
     "Variation",
     "Window",
@@ -110,7 +116,10 @@ __all__ = [
     "lyapunov_factors",
     "monodromy",
     "nonlinear_orbit",
+    "nonlinear_sensitivity",
+    "orbit_floquet",
     "parallel",
+    "parameter_sensitivity",
     "plot",
     "product_multipliers",
     "response",
@@ -119,5 +128,6 @@ __all__ = [
     "simulate",
     "state_feedback",
     "steady_state",
+    "stiction_band",
     "to_iosys",
 ]

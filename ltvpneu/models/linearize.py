@@ -177,6 +177,8 @@ class LtvModel:
     """Cycles computed, or valve periods marched, to find the operating points."""
     own_cycle: Orbit | None = None
     """The cycle that the operating points belong to, where the model was found with it."""
+    found: object = None
+    """How it was found, for `parameter_sensitivity`."""
 
     def __repr__(self) -> str:
         return (

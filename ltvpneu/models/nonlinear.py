@@ -125,7 +125,7 @@ def nonlinear_orbit(
     period = 1 / positive("frequency", frequency, "Hz")
     settings = _settings(machine, period, method)
     start = _initial_state(machine, initial_state)
-    run, scales = Run(_schedule(machine, period), machine.arrays, settings), machine.state_scales
+    run, scales = Run(schedule_of(machine, period), machine.arrays, settings), machine.state_scales
     max_periods = whole("max_periods", max_periods)
     found = settle(start, run, scales, positive("tolerance", tolerance), max_periods)
     if found.last.status != OK:
@@ -223,13 +223,13 @@ def simulate(  # noqa: PLR0913 - one call for one transient
     even = np.linspace(0.0, period, whole("points_per_period", points_per_period) + 1)
     times, states = [], []
     for number, present in enumerate(machines):
-        schedule = _schedule(present, period)
+        schedule = schedule_of(present, period)
         outcome = integrate_period(state, Run(schedule, present.arrays, settings), True)
         if outcome.status != OK:
             raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
         local = np.union1d(even, schedule.times)[:-1]
         times.append(number * period + local)
-        states.append(_trajectory(outcome.record).at(local).T)
+        states.append(trajectory_of(outcome.record).at(local).T)
         state = outcome.state
     times.append(np.array([n_periods * period]))
     states.append(state[None])
@@ -252,7 +252,8 @@ def integration_settings(machine: Machine, rtol: float) -> Settings:
     return Settings(float(rtol), atol, 0.0, MAX_STEPS)
 
 
-def _schedule(machine: Machine, period: float) -> Schedule:
+def schedule_of(machine: Machine, period: float) -> Schedule:
+    """Return the openings over one valve period [s]."""
     table = machine.openings
     return Schedule(table.fractions * period, table.areas, table.ramped)
 
@@ -309,7 +310,7 @@ def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray)
     )
 
 
-def _joined(records: Sequence[Record], period: float) -> Record:
+def joined(records: Sequence[Record], period: float) -> Record:
     """Return the records of consecutive periods as one."""
     if len(records) == 1:
         return records[0]
@@ -325,19 +326,20 @@ def _joined(records: Sequence[Record], period: float) -> Record:
     )
 
 
-def _trajectory(record: Record) -> PolynomialTrajectory:
+def trajectory_of(record: Record) -> PolynomialTrajectory:
+    """Return what a record holds as a trajectory."""
     return PolynomialTrajectory(starts=record.starts, spans=record.spans, coefficients=record.coefficients)
 
 
 def _orbit(machine: Machine, period: float, records: list[Record], reached: tuple[int, float]) -> Orbit:
-    record = _joined(records, period)
+    record = joined(records, period)
     modes, pieces = record.modes, record.pieces
     first = np.ones(modes.size, dtype=np.bool_)
     first[1:] = (modes[1:] != modes[:-1]) | (pieces[1:] != pieces[:-1])
     begins = first.nonzero()[0]
     step_times = np.empty(begins.size + 1)
     step_times[:-1], step_times[-1] = record.starts[begins], len(records) * period
-    trajectory = _trajectory(record)
+    trajectory = trajectory_of(record)
     n_simulated, residual = reached
     return Orbit(
         system_period=period,
@@ -362,6 +364,11 @@ def step_label(machine: Machine, mode: int) -> str:
     if not machine.has_dry_friction:
         return "free"
     return "moves up" if mode > 0 else "moves down"
+
+
+def mode_labelled(label: str) -> int:
+    """Return the mode of motion that `step_label` names; without dry friction either direction serves."""
+    return {"stuck": STUCK, "moves down": -1}.get(label, 1)
 
 
 def rests_in_a_band(machine: Machine, states: FloatArray, modes: IntArray) -> bool:

@@ -7,6 +7,7 @@ piston stops, reverses or breaks away, and at rest x' = 0.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, final
@@ -18,7 +19,7 @@ from ltvpneu.errors import NotConvergedError
 from ltvpneu.models.dynamics import STUCK, source_ranges
 from ltvpneu.models.integrator import OK
 from ltvpneu.models.linearize import HeldBack, Linearization, LtvModel, assemble
-from ltvpneu.models.machine import Machine
+from ltvpneu.models.machine import Machine, OpeningTable
 from ltvpneu.models.march import NOT_CONVERGED, Marched, Plan, Steps, march_period
 from ltvpneu.models.mesh import cut_schedule, cuts_by_error, even_cuts
 from ltvpneu.models.nonlinear import integration_settings, raise_stopped, rests_in_a_band, step_label
@@ -53,13 +54,14 @@ class Question:
     mode: OwnCycle
     distance: float
 
-    def plan(self, cells: FloatArray) -> Plan:
+    def plan(self, cells: FloatArray, rtol: float | None = None) -> Plan:
         """Return what the march needs, for cell boundaries given as shares of the turn, (n_cells + 1,)."""
         schedule, first_pieces, areas = cut_schedule(self.machine.openings, cells, 1 / self.frequency)
         # In step with the error of the steps themselves, which falls with the square of their number.
-        rtol = max(LOOSEST_REFERENCE * (2 / (cells.size - 1)) ** 2, TIGHTEST_REFERENCE)
+        if rtol is None:
+            rtol = min(max(LOOSEST_REFERENCE * (2 / (cells.size - 1)) ** 2, TIGHTEST_REFERENCE), LOOSEST_REFERENCE)
         return Plan(
-            run=Run(schedule, self.machine.arrays, integration_settings(self.machine, min(rtol, LOOSEST_REFERENCE))),
+            run=Run(schedule, self.machine.arrays, integration_settings(self.machine, rtol)),
             first_pieces=first_pieces,
             areas=areas,
             scales=np.array(self.machine.state_scales),
@@ -158,15 +160,7 @@ def find_cycle(question: Question, n_steps: int, spacing: Spacing, found: Found 
 
 def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Found:
     machine, plan = question.machine, question.plan(cells)
-    n, capacity = len(machine.states), 2 * cells.size + 256
-    steps = Steps(
-        matrices=np.empty((capacity, n + 1, n + 1)),
-        starts=np.empty((capacity, n + 1)),
-        points=np.empty((capacity, n)),
-        inputs=np.empty((capacity, n, 3)),
-        held=np.zeros((capacity, n)),
-        table=np.empty((capacity, 5)),
-    )
+    steps = new_steps(question, cells)
     # Where the piston rests depends on how it came there, so a cycle with rest is marched to from the machine's rest.
     if before is None or before.sticks or before.repeated.n_periods > 1:
         start = np.append(machine.rest_state / plan.scales, 1.0)
@@ -190,6 +184,29 @@ def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Fo
         periods=tuple(periods),
         iterations=iterations,
     )
+
+
+def new_steps(question: Question, cells: FloatArray) -> Steps:
+    """Return arrays for the steps of a period, with room for cuts by events."""
+    n, capacity = len(question.machine.states), 2 * cells.size + 256
+    return Steps(
+        matrices=np.empty((capacity, n + 1, n + 1)),
+        starts=np.empty((capacity, n + 1)),
+        points=np.empty((capacity, n)),
+        inputs=np.empty((capacity, n, 3)),
+        held=np.zeros((capacity, n)),
+        table=np.empty((capacity, 5)),
+    )
+
+
+def retabled(cells: FloatArray, before: OpeningTable, after: OpeningTable) -> FloatArray:
+    """Return cell boundaries moved along with the openings' own, as a machine is varied a little."""
+    if before.fractions.size != after.fractions.size:
+        raise ValueError(
+            f"parameters: found openings of {after.fractions.size - 1} pieces next to the machine's "
+            f"{before.fractions.size - 1}; at such a corner there is no derivative"
+        )
+    return np.interp(cells, before.fractions, after.fractions)
 
 
 def _cut_to(steps: Steps, count: int) -> Steps:
@@ -218,22 +235,27 @@ def _raise_not_found(question: Question, repeated: Repeated, iterations: int, n_
     raise_stopped(question.machine, marched.status, marched.time, state)
 
 
+def together(periods: Sequence[Steps]) -> Steps:
+    """Return the steps of several valve periods as one."""
+    return Steps(*(np.concatenate(parts) for parts in zip(*periods, strict=True)))
+
+
+def trajectory_of_steps(machine: Machine, periods: Sequence[Steps]) -> ExponentialTrajectory:
+    """Return the linear system that steps make, and the way they went through it."""
+    scales, n, steps = machine.state_scales, len(machine.states), together(periods)
+    A = steps.matrices[:, :n, :n] * (scales[:, None] / scales)
+    f = steps.matrices[:, :n, n] * scales
+    linearization = Linearization(A=A, B=steps.inputs, r=f - steps.inputs @ machine.levels, f=f)
+    system = assemble(machine, steps.table[:, 2], linearization, f"{machine.identifier}_ltv")
+    return ExponentialTrajectory(system=system, step_states=steps.starts[:, :n] * scales)
+
+
 def as_model(found: Found) -> LtvModel:
     """Return a cycle found as an LTV model."""
     question, machine = found.question, found.question.machine
-    scales, n = machine.state_scales, len(machine.states)
-    steps = Steps(*(np.concatenate(parts) for parts in zip(*found.periods, strict=True)))
-    A = steps.matrices[:, :n, :n] * (scales[:, None] / scales)
-    f = steps.matrices[:, :n, n] * scales
-    system = assemble(
-        machine,
-        steps.table[:, 2],
-        Linearization(A=A, B=steps.inputs, r=f - steps.inputs @ machine.levels, f=f),
-        f"{machine.identifier}_ltv",
-    )
-    states = steps.starts[:, :n] * scales
+    trajectory, steps = trajectory_of_steps(machine, found.periods), together(found.periods)
+    system, states = trajectory.system, trajectory.step_states
     modes = steps.table[:, 1].astype(int)
-    trajectory = ExponentialTrajectory(system=system, step_states=states)
     orbit = Orbit(
         system_period=1 / question.frequency,
         n_periods=found.repeated.n_periods,
@@ -258,6 +280,7 @@ def as_model(found: Found) -> LtvModel:
         least_distance=question.distance,
         iterations=found.iterations,
         own_cycle=orbit,
+        found=found,
     )
 
 

@@ -30,6 +30,9 @@ DECAY_AT_REST = 40.0
 """Exponent by which the velocity of a resting piston decays over its step: what is left of it is below rounding."""
 RIDGE = 1e-6
 """Mean square of a scaled state's excursions below which the fit keeps the tangent's slope over it [-]."""
+LEAST_SLOPE = 0.4
+"""Least slope of a fitted pressure rate over its own pressure, as a share of the tangent's [-]."""
+LEAST_SHARE_RIDGE = 1e-3
 _SHARES = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)])
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
@@ -213,13 +216,28 @@ def fit_visited(
                     for b in range(features):
                         moments[k - 2, a, b] += weight * c[a] * c[b]
     for k in range(2, n):
-        for a in range(1, features):
-            moments[k - 2, a, a] += RIDGE * total[k - 2]
-        if not solve(moments[k - 2], sums[k - 2]):
-            continue
-        constant = sums[k - 2, 0]
+        own = matrix[k, k]
+        found = _ridge_fit(moments[k - 2], sums[k - 2], total[k - 2], RIDGE, 0.0)
+        share = LEAST_SHARE_RIDGE
+        # A flow that does not fall with the chamber's own pressure is no flow: such a slope comes of a short path along
+        # which pressure, position and velocity go hand in hand. Then more of the tangent is kept.
+        while own < 0.0 and matrix[k, k] + found[k - first + 1] > LEAST_SLOPE * own and share < 1e6:
+            found = _ridge_fit(moments[k - 2], sums[k - 2], total[k - 2], RIDGE, share)
+            share *= 10.0
+        constant = found[0]
         for q in range(1, features):
-            matrix[k, first + q - 1] += sums[k - 2, q]
+            matrix[k, first + q - 1] += found[q]
         for i in range(n):
             constant -= matrix[k, i] * mean[i] / scales[i]
         matrix[k, n] = constant
+
+
+@compiled
+def _ridge_fit(moments: FloatArray, sums: FloatArray, total: float, ridge: float, share: float) -> FloatArray:
+    """Return the coefficients of a fit that a ridge, and a share of each feature's own moment, draw towards zero."""
+    matrix, found = moments.copy(), sums.copy()
+    for a in range(1, sums.size):
+        matrix[a, a] += ridge * total + share * moments[a, a]
+    if not solve(matrix, found):
+        found.fill(0.0)
+    return found

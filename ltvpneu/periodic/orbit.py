@@ -79,6 +79,12 @@ class Orbit:
         return self.step_states[0]
 
     @property
+    def branches(self) -> FloatArray:
+        """States at the starts of its system periods, (n_periods, n): the branches of a subharmonic."""
+        starts = self.system_period * np.arange(float(self.n_periods))
+        return self.trajectory.at(starts)[: len(self.states)].T
+
+    @property
     def signals(self) -> tuple[str, ...]:
         """Names of the states, then of the outputs that are not states."""
         return (*self.states, *(name for name in self.outputs if name not in self.states))

@@ -1,0 +1,271 @@
+r"""Derivatives of a cycle over duty, frequency and machine parameters, through the operating points.
+
+A cycle starts at a fixed point z = P(z, theta) of the map over its period, and has figures Q(z, theta): least and
+greatest values, means. So
+
+.. math:: \frac{dQ}{d\theta} = Q_\theta + Q_z (I - P_z)^{-1} P_\theta
+
+P is the nonlinear model's period, or the march of an LTV model whose every step finds its operating point anew: then
+the derivative goes through the operating points. With those frozen, d(amplitude)/d(duty) of Table 1 at 15 Hz even has
+the wrong sign. The partial derivatives are central differences of one period; nothing is solved for again.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, final
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray, positive, read_only
+from ltvpneu.errors import NonUniqueOrbitError, NotConvergedError
+from ltvpneu.models.integrator import OK, integrate_period
+from ltvpneu.models.linearize import LtvModel
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.march import march_period
+from ltvpneu.models.nonlinear import (
+    DormandPrince,
+    integration_settings,
+    joined,
+    nonlinear_orbit,
+    raise_stopped,
+    schedule_of,
+    trajectory_of,
+)
+from ltvpneu.models.own_cycle import MAX_PERIODS, Found, new_steps, retabled, trajectory_of_steps
+from ltvpneu.models.repeat import repeat_march
+from ltvpneu.models.runge_kutta import Run
+from ltvpneu.periodic.orbit import Orbit, Trajectory, signal_index
+
+PARAMETERS = ("duty", "frequency", "supply_pressure", "exhaust_pressure")
+"""What derivatives are taken over by default."""
+STEP = 1e-4
+"""Relative step of the difference quotients over parameters; duty and angles: absolute [-]."""
+STATE_STEP = 1e-5
+"""Step over the scaled states of the cycle's start [-]."""
+TOLERANCE = 1e-10
+"""Of the integrations that are differenced [-]."""
+
+Period = Callable[[FloatArray, Machine, float], tuple[FloatArray, Trajectory]]
+"""From a start, a machine and a frequency to the end of the cycle and the way there."""
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ParameterSensitivity:
+    """Derivatives of a cycle's figures, one column a parameter, in SI units."""
+
+    parameters: tuple[str, ...]
+    states: tuple[str, ...]
+    minima: FloatArray
+    """(n_states, n_parameters)"""
+    maxima: FloatArray
+    means: FloatArray
+    initial_state: FloatArray
+    """Of the state at the start of the period, (n_states, n_parameters)."""
+
+    def __repr__(self) -> str:
+        return f"<ParameterSensitivity of {', '.join(self.states)} over {', '.join(self.parameters)}>"
+
+    def amplitude(self, state: str | int, parameter: str) -> float:
+        """Return d(amplitude)/d(parameter)."""
+        row, column = self._place(state, parameter)
+        return float(self.maxima[row, column] - self.minima[row, column]) / 2
+
+    def mean(self, state: str | int, parameter: str) -> float:
+        """Return d(mean)/d(parameter)."""
+        return float(self.means[self._place(state, parameter)])
+
+    def minimum(self, state: str | int, parameter: str) -> float:
+        """Return d(least value)/d(parameter)."""
+        return float(self.minima[self._place(state, parameter)])
+
+    def maximum(self, state: str | int, parameter: str) -> float:
+        """Return d(greatest value)/d(parameter)."""
+        return float(self.maxima[self._place(state, parameter)])
+
+    def _place(self, state: str | int, parameter: str) -> tuple[int, int]:
+        if parameter not in self.parameters:
+            raise ValueError(f"parameter: found {parameter!r}, expected one of {', '.join(self.parameters)}")
+        return signal_index(self.states, state), self.parameters.index(parameter)
+
+
+def parameter_sensitivity(model: LtvModel, parameters: Sequence[str] = PARAMETERS) -> ParameterSensitivity:
+    """Return the derivatives of a fitted or self-consistent model's cycle, through its operating points.
+
+    Parameters
+    ----------
+    model : LtvModel
+        Of `ltv_model` with operating points "fitted" or "self-consistent".
+    parameters : sequence of str
+        "duty", "frequency" [Hz], "offset_angle" [rad], or the way to any number of the machine: "supply_pressure",
+        "load.mass", "cylinder.dead_volume_1", "flow_paths.0.area", ...
+
+    Raises
+    ------
+    ValueError
+        The model's operating points are not those of its own cycle, or a parameter is unknown.
+    NonUniqueOrbitError
+        The piston rests in a stiction band: where, is not decided by the parameters.
+    NotConvergedError
+        The cycle was not found to the accuracy that differences ask for.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> model = lp.ltv_model(lp.load_machine("kunt_singh_1990"), 4.0, operating_points="fitted")
+    >>> found = lp.parameter_sensitivity(model, ["load.spring_stiffness"])
+    >>> print(f"{1e6 * found.mean('position', 'load.spring_stiffness'):.0f} um m/N")
+    -21 um m/N
+    """
+    found = model.found
+    if not isinstance(found, Found):
+        raise ValueError(
+            f'model: found operating points {model.mode!r}, expected "fitted" or "self-consistent": others do not '
+            "follow the cycle. With operating points frozen, lp.sensitivity(model.system) has the derivatives"
+        )
+    machine, scales = model.machine, model.machine.state_scales
+    _expect_unique(model.orbit)
+    n_periods = found.repeated.n_periods
+
+    def period(start: FloatArray, machine: Machine, frequency: float) -> tuple[FloatArray, Trajectory]:
+        question = replace(found.question, machine=machine, frequency=frequency)
+        cells = retabled(found.cells, model.machine.openings, machine.openings)
+        plan, steps, states, parts = question.plan(cells, TOLERANCE), new_steps(question, cells), start / scales, []
+        state = np.append(states, 1.0)
+        for _ in range(n_periods):
+            marched = march_period(state, plan, steps)
+            if marched.status != OK:
+                raise NotConvergedError(
+                    "parameters: the march next to the cycle did not come through; take the derivative elsewhere",
+                    residual=marched.defect,
+                    iterations=1,
+                )
+            parts.append(type(steps)(*(part[: marched.n_steps].copy() for part in steps)))
+            state = marched.state
+        return state[:-1] * scales, trajectory_of_steps(machine, parts)
+
+    plan, steps = found.question.plan(found.cells, TOLERANCE), new_steps(found.question, found.cells)
+    start = np.append(model.orbit.initial_state / scales, 1.0)
+    tight = repeat_march(start, plan, steps, 10 * TOLERANCE, MAX_PERIODS)
+    if tight.n_periods == 0:
+        raise NotConvergedError(
+            f"the cycle at {model.frequency:g} Hz closes to {tight.residual:.1e} only, too little to take differences",
+            residual=tight.residual,
+            iterations=tight.n_marched,
+        )
+    return _derivatives(period, (machine, model.frequency, tight.start[:-1] * scales), parameters)
+
+
+def nonlinear_sensitivity(
+    machine: Machine, frequency: float, parameters: Sequence[str] = PARAMETERS
+) -> ParameterSensitivity:
+    """Return the derivatives of the nonlinear model's orbit; parameters and errors as of `parameter_sensitivity`."""
+    orbit = nonlinear_orbit(machine, frequency, method=DormandPrince(rtol=TOLERANCE))
+    _expect_unique(orbit)
+
+    def period(start: FloatArray, machine: Machine, frequency: float) -> tuple[FloatArray, Trajectory]:
+        run = Run(schedule_of(machine, 1 / frequency), machine.arrays, integration_settings(machine, TOLERANCE))
+        state, records = start, []
+        for number in range(orbit.n_periods):
+            outcome = integrate_period(state, run, True)
+            if outcome.status != OK:
+                raise_stopped(machine, outcome.status, number / frequency + outcome.time, outcome.state)
+            records.append(outcome.record)
+            state = outcome.state
+        return state, trajectory_of(joined(records, 1 / frequency))
+
+    return _derivatives(period, (machine, float(frequency), orbit.initial_state.copy()), parameters)
+
+
+def _expect_unique(orbit: Orbit) -> None:
+    if not orbit.is_unique:
+        direction = np.zeros((len(orbit.states), 1))
+        direction[0] = 1.0
+        raise NonUniqueOrbitError(
+            "the piston rests in a stiction band, so where it rests is not decided by the parameters: see "
+            "lp.stiction_band",
+            least_norm=orbit.initial_state,
+            free_directions=direction,
+        )
+
+
+def _derivatives(
+    period: Period, at: tuple[Machine, float, FloatArray], parameters: Sequence[str]
+) -> ParameterSensitivity:
+    machine, frequency, start = at
+    scales, n = machine.state_scales, len(machine.states)
+
+    def figures(start: FloatArray, machine: Machine, frequency: float) -> FloatArray:
+        end, trajectory = period(start, machine, frequency)
+        extremes = np.array([trajectory.extremes(i) for i in range(n)])
+        return np.array([end, extremes[:, 0], extremes[:, 1], trajectory.means()[:n]])
+
+    by_state = np.empty((4, n, n))
+    for j in range(n):
+        move = np.zeros(n)
+        move[j] = STATE_STEP * scales[j]
+        by_state[:, :, j] = (figures(start + move, machine, frequency) - figures(start - move, machine, frequency)) / (
+            2 * move[j]
+        )
+    by_parameter = np.empty((4, n, len(parameters)))
+    for column, name in enumerate(parameters):
+        (up, down), width = _moved(machine, frequency, name)
+        by_parameter[:, :, column] = (figures(start, *up) - figures(start, *down)) / width
+    # Scaled, for the states span seven decades.
+    left = np.eye(n) - by_state[0] * scales / scales[:, None]
+    by_start = scales[:, None] * np.linalg.solve(left, by_parameter[0] / scales[:, None])
+    total = by_parameter + by_state @ by_start
+    return ParameterSensitivity(
+        parameters=tuple(parameters),
+        states=machine.states,
+        minima=read_only(total[1]),
+        maxima=read_only(total[2]),
+        means=read_only(total[3]),
+        initial_state=read_only(by_start),
+    )
+
+
+def _moved(machine: Machine, frequency: float, name: str) -> tuple[tuple[tuple[Machine, float], ...], float]:
+    """Return machine and frequency with a parameter a little above and below, and the difference."""
+    if name == "frequency":
+        step = STEP * positive("frequency", frequency, "Hz")
+        return ((machine, frequency + step), (machine, frequency - step)), 2 * step
+    if name == "duty":
+        duty = machine.duty
+        high, low = min(duty + STEP, 1.0), max(duty - STEP, 0.0)
+        return ((machine.with_duty(high), frequency), (machine.with_duty(low), frequency)), high - low
+    if name == "offset_angle":
+        angle = float(getattr(machine.valve, "offset_angle", math.nan))
+        if math.isnan(angle):
+            raise ValueError("parameters: found 'offset_angle' of an on-off valve, expected 'duty'")
+        return tuple((machine.with_offset(angle + side * STEP), frequency) for side in (1, -1)), 2 * STEP
+    path = name.split(".")
+    value = _value(machine, path, name)
+    step = STEP * (abs(value) if value else 1.0)
+    return tuple((_replaced(machine, path, value + side * step), frequency) for side in (1, -1)), 2 * step
+
+
+def _value(part: Any, path: Sequence[str], name: str) -> float:
+    for key in path:
+        if isinstance(part, tuple) and key.isdigit() and int(key) < len(part):
+            part = part[int(key)]
+            continue
+        known = [field.name for field in fields(part)] if is_dataclass(part) else []
+        if key not in known:
+            raise ValueError(
+                f"parameters: found {name!r}, but there is no {key!r} there; expected one of "
+                f"{', '.join(known) or 'nothing further'}, or duty, frequency, offset_angle"
+            )
+        part = getattr(part, key)
+    if isinstance(part, bool) or not isinstance(part, float | int) or not math.isfinite(part):
+        raise ValueError(f"parameters: found {name!r}, which is {part!r}; expected the name of a finite number")
+    return float(part)
+
+
+def _replaced(part: Any, path: Sequence[str], value: float) -> Any:
+    key, rest = path[0], path[1:]
+    if isinstance(part, tuple):
+        inner = _replaced(part[int(key)], rest, value) if rest else value
+        return (*part[: int(key)], inner, *part[int(key) + 1 :])
+    return replace(part, **{key: _replaced(getattr(part, key), rest, value) if rest else value})

@@ -1,0 +1,204 @@
+r"""Floquet analysis of the nonlinear model's own orbit: how a small disturbance fares over it.
+
+Between events a disturbance follows d' = J(t) d along the orbit, J the full tangent in the mode of motion. Each
+interval of the integrator is taken in parts by Magnus' method of fourth order,
+
+.. math:: \Omega = \tfrac h2 (J_1 + J_2) + \tfrac{\sqrt3}{12} h^2 (J_2 J_1 - J_1 J_2), \qquad d \to e^\Omega d
+
+with J at the two Gauss points. Where the piston stops, reverses, breaks away or meets an end stop, a disturbance also
+shifts the instant, and jumps by the saltation matrix
+
+.. math:: S = D R + \frac{(f^+ - D R f^-)\, \nabla h'}{\nabla h' f^-}
+
+with the rates f before and after, the event function h and the reset R (at an end stop: v = 0) [Leine2004]_.
+
+.. [Leine2004] R. I. Leine and H. Nijmeijer, "Dynamics and Bifurcations of Non-Smooth Mechanical Systems", Springer,
+   2004.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from ltvpneu._arrays import ComplexArray, FloatArray, read_only
+from ltvpneu.models.dynamics import STUCK, state_rate
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.mesh import cut_schedule
+from ltvpneu.models.nonlinear import mode_labelled
+from ltvpneu.models.polynomial import PolynomialTrajectory
+from ltvpneu.models.step_models import Tangent, tangent_at
+from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.product import ProductMultipliers, product_multipliers
+from ltvpneu.periodic.propagate import exponentials
+
+PARTS = 4
+"""Parts that each interval of the integrator is taken in."""
+NEAREST_SOURCE = 1e-4
+"""Relative distance from a source's pressure within which the chord to it replaces an ever steeper slope [-]."""
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class OrbitFloquet:
+    """Multipliers of a nonlinear orbit, over its own period, largest first."""
+
+    orbit: Orbit
+    product: ProductMultipliers
+    monodromy: FloatArray
+    """Where a disturbance of the initial state goes in one orbit, (n, n), in the states' units."""
+
+    def __repr__(self) -> str:
+        return f"<OrbitFloquet of {self.orbit.name}: multipliers {self.multipliers}>"
+
+    @property
+    def multipliers(self) -> ComplexArray:
+        """Floquet multipliers [-], shape (n,)."""
+        return self.product.multipliers
+
+    @property
+    def log_moduli(self) -> FloatArray:
+        """Natural logarithms of their moduli, -inf for zero, shape (n,)."""
+        return self.product.log_moduli
+
+    @property
+    def exponents(self) -> ComplexArray:
+        """Principal exponents [1/s], shape (n,)."""
+        return (self.product.log_moduli + 1j * self.product.angles) / self.orbit.period
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest modulus [-]; 1 in a stiction band."""
+        return self.product.spectral_radius
+
+    @cached_property
+    def is_stable(self) -> bool:
+        """Whether every small disturbance decays; false in a stiction band, whose every position stays."""
+        return self.spectral_radius < 1 - 1e-6
+
+
+def orbit_floquet(machine: Machine, orbit: Orbit) -> OrbitFloquet:
+    """Return the Floquet multipliers of an orbit found by `nonlinear_orbit`, with saltation where the piston sticks.
+
+    Parameters
+    ----------
+    machine : Machine
+        The orbit's.
+    orbit : Orbit
+
+    Raises
+    ------
+    TypeError
+        The orbit is a linear model's; `floquet` of its system is what is wanted there.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> machine = lp.load_machine("kunt_singh_1990")
+    >>> print(f"{lp.orbit_floquet(machine, lp.nonlinear_orbit(machine, 8.0)).spectral_radius:.3f}")
+    0.297
+    """
+    trajectory = orbit.trajectory
+    if not isinstance(trajectory, PolynomialTrajectory):
+        raise TypeError(
+            f"orbit: found one of {orbit.name}, a linear model; expected one of nonlinear_orbit. Of a linear model, "
+            "take lp.floquet(model.system)"
+        )
+    factors = _Factors(machine, orbit, trajectory).all()
+    scales = machine.state_scales
+    whole = np.eye(scales.size)
+    for factor in factors:
+        whole = factor @ whole
+    return OrbitFloquet(
+        orbit=orbit,
+        product=product_multipliers(factors),
+        monodromy=read_only(whole * scales[:, None] / scales),
+    )
+
+
+class _Factors:
+    """The disturbance's maps over one orbit, in scaled states."""
+
+    def __init__(self, machine: Machine, orbit: Orbit, trajectory: PolynomialTrajectory) -> None:
+        self.machine, self.orbit, self.trajectory = machine, orbit, trajectory
+        self.n, self.scales = len(machine.states), machine.state_scales
+        schedule, _, _ = cut_schedule(machine.openings, machine.openings.fractions, orbit.system_period)
+        self.times, self.areas = schedule.times, schedule.areas
+        self.modes = [mode_labelled(label) for label in orbit.step_labels]
+
+    def all(self) -> list[FloatArray]:
+        """Return the factors in the order of time."""
+        found: list[FloatArray] = []
+        starts, spans = self.trajectory.starts, self.trajectory.spans
+        step = np.clip(
+            np.searchsorted(self.orbit.step_times, starts + 1e-9 * spans, side="right") - 1, 0, len(self.modes) - 1
+        )
+        for interval in range(starts.size):
+            mode = self.modes[step[interval]]
+            if interval > 0 and step[interval] != step[interval - 1]:
+                found += self._saltation(interval, self.modes[step[interval - 1]], mode)
+            found += list(self._smooth(interval, mode))
+        if self.modes[-1] != self.modes[0]:
+            found += self._saltation(0, self.modes[-1], self.modes[0])
+        return found
+
+    def _state(self, interval: int, time: float) -> FloatArray:
+        return time ** np.arange(5) @ self.trajectory.coefficients[interval]
+
+    def _areas(self, time: float) -> FloatArray:
+        within = math.fmod(time, self.orbit.system_period)
+        piece = int(np.clip(np.searchsorted(self.times, within, side="right") - 1, 0, self.times.size - 2))
+        share = (within - self.times[piece]) / (self.times[piece + 1] - self.times[piece])
+        begin, end = self.areas[piece][[0, 2]], self.areas[piece][[1, 3]]
+        with np.errstate(invalid="ignore"):
+            return np.where(begin == end, begin, begin + share * (end - begin))
+
+    def _tangent(self, state: FloatArray, areas: FloatArray, mode: int) -> FloatArray:
+        n = self.n
+        found = Tangent(np.empty((n, n)), np.empty((n, 3)), np.empty(n), np.empty(n))
+        tangent_at(state, areas, mode, self.machine.arrays, NEAREST_SOURCE, found)
+        return found.A * self.scales / self.scales[:, None]
+
+    def _smooth(self, interval: int, mode: int) -> FloatArray:
+        start, h = self.trajectory.starts[interval], self.trajectory.spans[interval] / PARTS
+        exponents = np.empty((PARTS, self.n, self.n))
+        for part in range(PARTS):
+            times = [(part + 0.5 + side * math.sqrt(3) / 6) * h for side in (-1, 1)]
+            one, two = (self._tangent(self._state(interval, t), self._areas(start + t), mode) for t in times)
+            exponents[part] = 0.5 * h * (one + two) + math.sqrt(3) / 12 * h * h * (two @ one - one @ two)
+        return exponentials(exponents)
+
+    def _rate(self, state: FloatArray, areas: FloatArray, mode: int) -> FloatArray:
+        rate = np.empty(self.n)
+        state_rate(state, areas, mode, self.machine.arrays, rate)
+        return rate / self.scales
+
+    def _saltation(self, interval: int, before: int, after: int) -> list[FloatArray]:
+        """Return the jump of a disturbance at the start of an interval, if there is one."""
+        if before == after:
+            return []
+        last = interval - 1 if interval > 0 else self.trajectory.starts.size - 1
+        arriving = self._state(last, float(self.trajectory.spans[last]))
+        leaving = self.trajectory.coefficients[interval, 0]
+        areas = self._areas(float(self.trajectory.starts[last] + self.trajectory.spans[last]) * (1 - 1e-12))
+        rate_before, rate_after = self._rate(arriving, areas, before), self._rate(leaving, areas, after)
+        load, n = self.machine.arrays.load, self.n
+        gradient, reset = np.zeros(n), np.eye(n)
+        at_stop = leaving[0] in (load.lower_stop, load.upper_stop)
+        if before == STUCK:
+            # Breaks away where the external force reaches what holds it.
+            gradient[0] = -load.spring_stiffness
+            gradient[2:] = self.machine.arrays.chambers[:, 3]
+            gradient *= self.scales
+        elif at_stop and abs(arriving[1]) > 1e-6 * self.scales[1]:
+            gradient[0] = 1.0
+            reset[0, 0] = reset[1, 1] = 0.0
+        else:
+            gradient[1] = 1.0
+        along = float(gradient @ rate_before)
+        if along == 0.0:
+            return []
+        jump = reset + np.outer(rate_after - reset @ rate_before, gradient) / along
+        return [jump]
