@@ -14,7 +14,7 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu.models.amplitude import AmplitudeResponse
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.staircase import Staircase, staircase
+from ltvpneu.models.staircase import Staircase, staircase, step_means
 from ltvpneu.periodic.floquet import Floquet, floquet
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.system import PeriodicSystem
@@ -101,7 +101,12 @@ def _orbit_title(orbit: Orbit) -> str:
 
 
 def _stairs_of(model: LtvModel) -> Staircase:
-    return staircase(model.machine, model.system.n_steps)
+    if model.own_cycle is None:
+        return staircase(model.machine, model.system.n_steps)
+    # Cut at stick and slip too; of a subharmonic, the first valve period.
+    ends = model.system.switching_times * model.frequency
+    fractions = np.append(ends[ends < 1 - 1e-9], 1.0)
+    return Staircase(fractions, step_means(model.machine.openings, fractions))
 
 
 def draw_areas(machine: Machine, stairs: Staircase | None = None) -> Figure:

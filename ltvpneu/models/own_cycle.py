@@ -14,7 +14,7 @@ from typing import Literal, final
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray
+from ltvpneu._arrays import FloatArray, IntArray
 from ltvpneu.errors import NotConvergedError
 from ltvpneu.models.dynamics import STUCK, source_ranges
 from ltvpneu.models.integrator import OK
@@ -38,6 +38,8 @@ POINT_TOLERANCE = 1e-10
 CYCLE_TOLERANCE = 0.1
 """Scaled distance from the cycle at which the state counts as periodic, over the reference's tolerance [-]."""
 MAX_PERIODS = 5000
+LEAST_TRAVEL = 1e-4
+"""Scaled travel below which a piston that also rests counts as resting [-]."""
 MAX_ITERATIONS = 40
 MOST_STEPS = 2048
 GROWTH = 4
@@ -265,7 +267,7 @@ def as_model(found: Found) -> LtvModel:
         trajectory=trajectory,
         states=machine.states,
         outputs=machine.states,
-        is_unique=not rests_in_a_band(machine, states, modes),
+        is_unique=not (rests_in_a_band(machine, states, modes) or _creeps(machine, states, modes)),
         residual=found.repeated.residual,
         n_simulated=found.repeated.n_marched,
         name=system.name,
@@ -282,6 +284,11 @@ def as_model(found: Found) -> LtvModel:
         own_cycle=orbit,
         found=found,
     )
+
+
+def _creeps(machine: Machine, states: FloatArray, modes: IntArray) -> bool:
+    """Whether the piston rests but for moves too small to matter, on its way to the edge of a stiction band."""
+    return bool((modes == STUCK).any()) and float(np.ptp(states[:, 0])) < LEAST_TRAVEL * machine.state_scales[0]
 
 
 def _held_back(found: Found, steps: Steps) -> tuple[HeldBack, ...]:

@@ -116,7 +116,7 @@ def parameter_sensitivity(model: LtvModel, parameters: Sequence[str] = PARAMETER
     >>> model = lp.ltv_model(lp.load_machine("kunt_singh_1990"), 4.0, operating_points="fitted")
     >>> found = lp.parameter_sensitivity(model, ["load.spring_stiffness"])
     >>> print(f"{1e6 * found.mean('position', 'load.spring_stiffness'):.0f} um m/N")
-    -21 um m/N
+    -25 um m/N
     """
     found = model.found
     if not isinstance(found, Found):

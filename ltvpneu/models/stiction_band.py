@@ -32,7 +32,7 @@ class StictionBand:
     >>> import ltvpneu as lp
     >>> band = lp.stiction_band(lp.load_machine("kunt_singh_1990").with_duty(0.7), 20.0)
     >>> print(f"{1e3 * band.lowest:.1f} to {1e3 * band.highest:.1f} mm")
-    69.6 to 71.5 mm
+    68.7 to 71.3 mm
     """
 
     frequency: float

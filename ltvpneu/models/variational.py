@@ -98,7 +98,7 @@ def orbit_floquet(machine: Machine, orbit: Orbit) -> OrbitFloquet:
     >>> import ltvpneu as lp
     >>> machine = lp.load_machine("kunt_singh_1990")
     >>> print(f"{lp.orbit_floquet(machine, lp.nonlinear_orbit(machine, 8.0)).spectral_radius:.3f}")
-    0.297
+    0.224
     """
     trajectory = orbit.trajectory
     if not isinstance(trajectory, PolynomialTrajectory):
