@@ -22,6 +22,7 @@ from ltvpneu.models.linearize import Linearization, LtvModel, linearize
 from ltvpneu.models.lti import lti_model
 from ltvpneu.models.ltv import ltv_model
 from ltvpneu.models.machine import FlowPath, Machine
+from ltvpneu.models.maps import OrbitMap, ValidityMap, orbit_map, validity_map
 from ltvpneu.models.nonlinear import DormandPrince, RungeKutta4, nonlinear_orbit, simulate
 from ltvpneu.models.parameters import ParameterSensitivity, nonlinear_sensitivity, parameter_sensitivity
 from ltvpneu.models.stiction_band import StictionBand, stiction_band
@@ -79,6 +80,7 @@ __all__ = [
     "OnOffValve",
     "Orbit",
     "OrbitFloquet",
+    "OrbitMap",
     "ParameterSensitivity",
     "PeriodicSystem",
     "Port",
@@ -93,6 +95,7 @@ __all__ = [
     "StepOverflowError",
     "StictionBand",
     "SwitchAware",
+    "ValidityMap",
     "Variation",
     "Window",
     "amplitude_response",
@@ -118,6 +121,7 @@ __all__ = [
     "nonlinear_orbit",
     "nonlinear_sensitivity",
     "orbit_floquet",
+    "orbit_map",
     "parallel",
     "parameter_sensitivity",
     "plot",
@@ -130,4 +134,5 @@ __all__ = [
     "steady_state",
     "stiction_band",
     "to_iosys",
+    "validity_map",
 ]

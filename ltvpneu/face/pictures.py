@@ -11,9 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu.face.map_pictures import draw_orbit_map, draw_validity_map
 from ltvpneu.models.amplitude import AmplitudeResponse
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.maps import OrbitMap, ValidityMap
 from ltvpneu.models.staircase import Staircase, staircase, step_means
 from ltvpneu.periodic.floquet import Floquet, floquet
 from ltvpneu.periodic.orbit import Orbit
@@ -64,6 +66,10 @@ def draw(result: object) -> Figure:
         return draw_cycles({result.name: result}, title=_orbit_title(result))
     if isinstance(result, AmplitudeResponse):
         return draw_amplitudes(result)
+    if isinstance(result, OrbitMap):
+        return draw_orbit_map(result)
+    if isinstance(result, ValidityMap):
+        return draw_validity_map(result)
     if isinstance(result, Mapping) and result:
         return _draw_mapping(result)
     return _draw_by_itself(result)
@@ -86,7 +92,7 @@ def _draw_by_itself(result: object) -> Figure:
     if not type(result).__module__.startswith("control") or method is None:
         raise TypeError(
             f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, Orbit, "
-            "AmplitudeResponse, a dict of Orbit or Floquet, or a response of python-control"
+            "AmplitudeResponse, OrbitMap, ValidityMap, a dict of Orbit or Floquet, or a response of python-control"
         )
     import matplotlib.pyplot as plt
 
