@@ -108,26 +108,78 @@ def test_fitted_with_two_steps_in_units_of_the_nonlinear_orbit(
     benchmark(fitted)
 
 
-def test_valve_periods_marched_over_duty_and_frequency(benchmark: BenchmarkFixture, table_1: lp.Machine) -> None:
+class Tally:
+    """What a linear model does over a grid of duty and frequency."""
+
+    def __init__(self) -> None:
+        self.periods: list[int] = []
+        self.without: list[str] = []
+        self.mislabelled: list[str] = []
+        self.errors: list[tuple[float, float]] = []
+        """True and estimated relative errors of the amplitude, where the orbit is unique and moves 1 mm or more."""
+
+    def add(self, orbit: lp.Orbit | None, frequency: float, case: tuple[lp.Machine, OperatingPoints, int]) -> None:
+        machine, mode, n = case
+        place = f"{frequency:.2f} Hz/{machine.duty:.3f}"
+        try:
+            model = lp.ltv_model(machine, frequency, n_steps=n, operating_points=mode)
+        except lp.LtvpneuError:
+            self.without.append(place)
+            return
+        self.periods.append(model.iterations)
+        if orbit is None:
+            return
+        if (orbit.is_unique, orbit.n_periods) != (model.orbit.is_unique, model.orbit.n_periods):
+            self.mislabelled.append(place)
+        true = orbit.amplitude(0)
+        if orbit.is_unique and orbit.n_periods == 1 and true >= 1e-3:
+            error = model.orbit.amplitude(0) / true - 1
+            self.errors.append((error, model.error_estimate.relative_amplitude(0)))
+
+    def text(self, least: float = 0.005) -> str:
+        median, most = np.quantile(self.periods, [0.5, 1.0])
+        judged = [(true, estimate) for true, estimate in self.errors if abs(true) > least]
+        within = sum(0.5 <= estimate / true <= 2 for true, estimate in judged)
+        share = f"{within} of {len(judged)}" if judged else "none above"
+        worst = max(abs(true) for true, _ in self.errors)
+        return (
+            f"{median:7.0f} {most:6.0f} {len(self.without):8} {len(self.mislabelled):7} {100 * worst:9.2f} % "
+            f"{share:>12}   {', '.join(self.without)}"
+        )
+
+
+def test_models_over_duty_and_frequency(benchmark: BenchmarkFixture, table_1: lp.Machine) -> None:
+    """Iterations, kinds of orbits and how often the estimated error is right, on a 20 x 20 grid."""
+    cases: tuple[tuple[OperatingPoints, int], ...] = (
+        ("lti", 20),
+        ("quasi-static", 20),
+        ("fitted", 2),
+        ("fitted", 20),
+        ("self-consistent", 6),
+        ("self-consistent", 20),
+    )
     duties, frequencies = np.linspace(0.05, 0.95, 20), np.linspace(0.2, 20, 20)
 
-    def table() -> dict[str, list[float]]:
-        found: dict[str, list[float]] = {}
-        cases: tuple[tuple[OperatingPoints, int], ...] = (("fitted", 2), ("fitted", 20), ("self-consistent", 20))
-        for name, n in cases:
-            periods: list[float] = []
-            for frequency in frequencies:
-                for duty in duties:
-                    try:
-                        machine = table_1.with_duty(float(duty))
-                        model = lp.ltv_model(machine, float(frequency), n_steps=n, operating_points=name)
-                        periods.append(model.iterations)
-                    except lp.LtvpneuError:
-                        periods.append(np.nan)
-            found[f"{name}, N_s = {n}"] = periods
-        return found
+    def grid() -> tuple[dict[str, int], dict[str, Tally]]:
+        kinds: dict[str, int] = dict.fromkeys(("unique", "band", "subharmonic", "not settling"), 0)
+        tallies = {f"{mode}, {n}": Tally() for mode, n in cases}
+        for frequency in frequencies.tolist():
+            for duty in duties.tolist():
+                machine, orbit = table_1.with_duty(duty), None
+                try:
+                    orbit = lp.nonlinear_orbit(machine, frequency)
+                    kind = "band" if not orbit.is_unique else "subharmonic" if orbit.n_periods > 1 else "unique"
+                except lp.NotSettledError:
+                    kind = "not settling"
+                kinds[kind] += 1
+                for mode, n in cases:
+                    tallies[f"{mode}, {n}"].add(orbit, frequency, (machine, mode, n))
+        return kinds, tallies
 
-    for name, periods in benchmark.pedantic(table, rounds=1).items():
-        quantiles = np.nanquantile(periods, [0.5, 0.9, 1.0])
-        print(f"\n{name}: valve periods marched, median {quantiles[0]:.0f}, 90 % {quantiles[1]:.0f}, ", end="")
-        print(f"most {quantiles[2]:.0f}; without a cycle: {np.isnan(periods).sum()} of {len(periods)}")
+    kinds, tallies = benchmark.pedantic(grid, rounds=1)
+    print(f"\nnonlinear orbits: {', '.join(f'{count} {kind}' for kind, count in kinds.items())}")
+    print("valve periods marched (median, most), models without a cycle, kinds unlike the nonlinear orbit's, worst")
+    print("error of the amplitude, and how many estimates are within a factor of 2 where the error is above 0.5 %")
+    for name, tally in tallies.items():
+        print(f"{name:22}{tally.text()}")
+        print(f"{'':22}unlike: {', '.join(tally.mislabelled)}")
