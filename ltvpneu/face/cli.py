@@ -1,4 +1,4 @@
-"""The command line: `ltvpneu study` and `ltvpneu stability`."""
+"""The command line: `ltvpneu study`, `ltvpneu stability` and `ltvpneu sweep`."""
 
 import argparse
 import json
@@ -14,6 +14,7 @@ from ltvpneu.face.machine_file import bundled_machines, load_machine
 from ltvpneu.face.report import LABELS, multipliers_text, study_text, table
 from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
 from ltvpneu.face.study_data import study_data
+from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
 from ltvpneu.models.ltv import MODES, ltv_model
 from ltvpneu.models.machine import Machine
 from ltvpneu.periodic.floquet import floquet
@@ -73,17 +74,39 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_design(stability)
     stability.set_defaults(run=_stability)
+
+    sweep = commands.add_parser(
+        "sweep", help="map duty and frequency: stiction bands, subharmonics, and how far off the LTV model is"
+    )
+    sweep.add_argument("machine", nargs="?", default="kunt_singh_1990", metavar="MACHINE", help=machine_help)
+    sweep.add_argument(
+        "--frequency", type=float, nargs=2, default=[0.2, 20.0], metavar=("LOW", "HIGH"),
+        help="limits of the valve frequency [Hz] (default: 0.2 20)",
+    )  # fmt: skip
+    sweep.add_argument(
+        "--duty", type=float, nargs=2, default=[0.05, 0.95], metavar=("LOW", "HIGH"),
+        help="limits of the duty cycle (default: 0.05 0.95)",
+    )  # fmt: skip
+    sweep.add_argument("--points", type=int, default=20, help="points along each axis (default: 20)")
+    sweep.add_argument("--out", type=Path, default=Path("sweep"), metavar="DIR", help="folder (default: sweep)")
+    _add_model(sweep, "fitted")
+    sweep.set_defaults(run=_sweep)
     return parser
 
 
 def _add_design(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duty", type=float, metavar="D", help="duty cycle, 0 to 1 (default: the machine's own)")
+    _add_model(parser, "lti")
+
+
+def _add_model(parser: argparse.ArgumentParser, default: str) -> None:
+    standard = f"{default}, the paper's" if default == "lti" else default
     parser.add_argument("--n-steps", type=int, default=2, metavar="N", help="steps of the LTV model (default: 2)")
     parser.add_argument(
         "--operating-points",
         choices=MODES,
-        default="lti",
-        help="of the LTV model (default: lti, the paper's)",
+        default=default,
+        help=f"of the LTV model (default: {standard})",
     )
 
 
@@ -99,12 +122,9 @@ def _study(options: argparse.Namespace) -> int:
             raise ValueError(f"--frequency: found {frequency:g} Hz, expected a finite number above zero")
     if options.points < 1:
         raise ValueError(f"--points: found {options.points}, expected 1 or more")
-    grid = frequency_grid(options.frequency, options.points)
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"--out: found {str(options.out)!r}, expected a folder that can be made ({error})") from None
-    total = n_parts(machine, options.frequency, grid)
+    frequencies = frequency_grid(options.frequency, options.points)
+    _make(options.out)
+    total = n_parts(machine, options.frequency, frequencies)
     # The first part of the first run takes longest: it compiles the laws.
     with tqdm(total=total, desc="study", unit="part", leave=False) as bar:
         study = run_study(
@@ -112,7 +132,7 @@ def _study(options: argparse.Namespace) -> int:
             options.frequency,
             n_steps=options.n_steps,
             operating_points=options.operating_points,
-            grid=grid,
+            grid=frequencies,
             progress=bar.update,
         )
     print(study_text(study))
@@ -164,3 +184,22 @@ def _stability(options: argparse.Namespace) -> int:
     print(f"{machine.name}: LTV model, {options.n_steps} steps, operating points {options.operating_points!r}\n")
     print(table(["frequency [Hz]", "duty", "multipliers", "radius", "computed to", "verdict"], rows))
     return STABLE if all_stable else NOT_STABLE
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out: found {str(folder)!r}, expected a folder that can be made ({error})") from None
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    machine = load_machine(options.machine)
+    duties = grid("duty", options.duty, options.points, 1.0)
+    frequencies = grid("frequency", options.frequency, options.points, LARGEST)
+    _make(options.out)
+    sweep = run_sweep(machine, duties, frequencies, options.n_steps, options.operating_points)
+    print(f"{machine.name}: {options.points} x {options.points} points\n\n{sweep_text(sweep)}")
+    written = write_sweep(sweep, options.out)
+    print("written:", *(f"  {path}" for path in written), sep="\n")
+    return 0

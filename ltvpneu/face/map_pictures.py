@@ -9,10 +9,10 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ltvpneu._arrays import FloatArray
 from ltvpneu.models.maps import KINDS, OrbitMap, ValidityMap
 
 PALETTE = mpl.color_sequences["petroff10"]
+GROUND = "0.85"
 LEVELS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """Relative errors at which the shades change [-]."""
 
@@ -42,15 +42,15 @@ def draw_validity_map(found: ValidityMap) -> Figure:
     title = f'{found.machine.name}: estimated error of the amplitude, "{found.mode}", {found.n_steps} steps'
     figure, axes = _axes(title)
     norm = BoundaryNorm(LEVELS, 256, extend="max")
-    shades = axes.pcolormesh(found.frequencies, found.duties, _bounded(found.errors).T, cmap="viridis_r", norm=norm)
+    shades = axes.pcolormesh(found.frequencies, found.duties, np.abs(found.errors).T, cmap="viridis_r", norm=norm)
     bar = figure.colorbar(shades, ax=axes, ticks=LEVELS)
     bar.ax.set_yticklabels(_percent(LEVELS))
+    # An error relative to no movement is no figure: the ground shows, as where no cycle was found.
+    axes.set_facecolor(GROUND)
+    if not np.isfinite(found.errors).all():
+        patch = Patch(color=GROUND, label="no figure: the piston rests, or no cycle found")
+        axes.legend(handles=[patch], fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     return figure
-
-
-def _bounded(errors: FloatArray) -> FloatArray:
-    # Beyond the last level all is one shade; where there is no figure the ground shows.
-    return np.where(np.isinf(errors), 10.0, np.abs(errors))
 
 
 def _percent(levels: Sequence[float]) -> list[str]:
@@ -63,5 +63,4 @@ def _axes(title: str) -> tuple[Figure, Axes]:
     axes.set_xlabel("valve frequency [Hz]")
     axes.set_ylabel("duty [-]")
     axes.set_title(title, fontsize=11)
-    axes.set_facecolor("white")
     return figure, axes

@@ -17,7 +17,7 @@ from ltvpneu.periodic.orbit import Orbit
 def study_data(study: Study) -> dict[str, Any]:
     """Return every figure of the report in SI units, ready for JSON; what is not finite is null."""
     response = study.response
-    return _plain(
+    return plain(
         {
             "units": "SI: m, s, Pa absolute, kg, rad, Hz",
             "machine": machine_data(study.machine),
@@ -130,12 +130,12 @@ def orbit_data(orbit: Orbit, machine: Machine) -> dict[str, Any]:
     }
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return nested data with arrays as lists and numbers that JSON does not know as null."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, int | np.integer):

@@ -9,15 +9,16 @@ which is the start itself for a step of no duration. Extremes lie at step bounda
 derivative, which are bracketed on a grid fine enough for the step's fastest oscillation and decay, and then solved for.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, cast, final
+from typing import NamedTuple, final
 
 import numpy as np
-from scipy.optimize import brentq
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.periodic.propagate import exponentials
+from ltvpneu.periodic.small import root_time, sampled
 from ltvpneu.periodic.system import PeriodicSystem
 
 
@@ -96,7 +97,7 @@ class ExponentialTrajectory:
         low, high = self.extreme_points(signal)
         return low.value, high.value
 
-    def extreme_points(self, signal: int) -> "tuple[Extreme, Extreme]":
+    def extreme_points(self, signal: int) -> tuple[Extreme, Extreme]:
         """Return where a signal is least and greatest."""
         sampled = self._samples[:, :, signal]
         places: list[Extreme] = []
@@ -112,25 +113,16 @@ class ExponentialTrajectory:
     def _slope_rows(self, signal: int) -> FloatArray:
         return np.einsum("mi,mij->mj", self.rows[:, signal], self.system.scaled.matrices)
 
-    def _at_root(self, step: int, left: int, signal: int, slope: FloatArray) -> "Extreme":
+    def _at_root(self, step: int, left: int, signal: int, slope: FloatArray) -> Extreme:
         matrix, duration = self.system.scaled.matrices[step], self.system.durations[step]
         start = self._sampled_states[step, left]
-
-        def state(time: float) -> FloatArray:
-            return exponentials(matrix * time) @ start
-
-        span = duration * (self._shares[left + 1] - self._shares[left])
-
-        def slope_at(time: float) -> float:
-            return float(slope @ state(time))
-
-        ends = slope_at(0.0), slope_at(span)
-        # The sample beyond was computed another way: at a root on the boundary rounding may leave no change of sign.
         since = float(duration * self._shares[left])
-        if ends[0] * ends[1] >= 0:
+        after = root_time(matrix, start, slope, float(duration * (self._shares[left + 1] - self._shares[left])))
+        # The sample beyond was computed another way: at a root on the boundary rounding may leave no change of sign.
+        if math.isnan(after):
             return Extreme(float(self.rows[step, signal] @ start), step, since)
-        root = cast(float, brentq(slope_at, 0.0, span, xtol=1e-15 * duration))
-        return Extreme(float(self.rows[step, signal] @ state(root)), step, since + root)
+        state = sampled(matrix[None], np.array([[after]]), start[None])[0, 0]
+        return Extreme(float(self.rows[step, signal] @ state), step, since + after)
 
     @cached_property
     def _shares(self) -> FloatArray:
@@ -150,9 +142,7 @@ class ExponentialTrajectory:
     @cached_property
     def _sampled_states(self) -> FloatArray:
         """Balanced augmented states at the sampled shares of all steps, shape (n_steps, n_shares, n + 1)."""
-        local = self.system.durations[:, None] * self._shares
-        maps = exponentials(self.system.scaled.matrices[:, None] * local[:, :, None, None])
-        return np.einsum("mjik,mk->mji", maps, self.starts)
+        return sampled(self.system.scaled.matrices, self.system.durations[:, None] * self._shares, self.starts)
 
     @cached_property
     def _samples(self) -> FloatArray:

@@ -87,6 +87,58 @@ def exponential(matrix: FloatArray, time: float, result: FloatArray, mean: Float
 
 
 @compiled
+def sampled(matrices: FloatArray, times: FloatArray, starts: FloatArray) -> FloatArray:
+    """Return exp(M_m t_mj) v_m, from shapes (n_steps, k, k), (n_steps, n_times) and (n_steps, k).
+
+    Shape (n_steps, n_times, k).
+    """
+    n_steps, k = starts.shape
+    states = np.empty((n_steps, times.shape[1], k))
+    map_, mean = np.empty((k, k)), np.empty((k, k))
+    for m in range(n_steps):
+        for j in range(times.shape[1]):
+            exponential(matrices[m], times[m, j], map_, mean)
+            apply(map_, starts[m], states[m, j])
+    return states
+
+
+@compiled
+def root_time(matrix: FloatArray, start: FloatArray, row: FloatArray, span: float) -> float:
+    """Return the time in [0, span] at which row exp(M t) v vanishes; nan if its ends have no opposite signs.
+
+    Newton's method, kept within the bracket by bisection.
+    """
+    k = start.size
+    map_, mean = np.empty((k, k)), np.empty((k, k))
+    state, rate = start.copy(), np.empty(k)
+    exponential(matrix, span, map_, mean)
+    apply(map_, start, state)
+    low, high, at_low, at_high = 0.0, span, np.dot(row, start), np.dot(row, state)
+    if not at_low * at_high < 0.0:
+        return math.nan
+    time = 0.5 * span
+    for _ in range(200):
+        exponential(matrix, time, map_, mean)
+        apply(map_, start, state)
+        value = np.dot(row, state)
+        if value == 0.0:
+            return time
+        if (value < 0.0) == (at_low < 0.0):
+            low = time
+        else:
+            high = time
+        apply(matrix, state, rate)
+        slope = np.dot(row, rate)
+        following = time - value / slope if slope != 0.0 else math.nan
+        if not low < following < high:
+            following = 0.5 * (low + high)
+        if abs(following - time) <= 1e-15 * span:
+            return following
+        time = following
+    return time
+
+
+@compiled
 def advanced(matrix: FloatArray, vector: FloatArray, time: float) -> FloatArray:
     """Return exp(M t) v for a short time of either sign, by the series of vectors."""
     k = vector.size

@@ -1,6 +1,7 @@
 """The command line, its exit codes and files; pictures of every result."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -118,6 +119,35 @@ def test_stability_exits_0_stable_1_not_stable_2_bad_input(arguments, code, monk
         assert captured.out == ""
     else:
         assert "verdict" in captured.out
+
+
+def test_sweep_prints_kinds_and_errors_and_writes_both_maps(tmp_path, capsys):
+    limits = ["--frequency", "4", "19", "--duty", "0.05", "0.5", "--points", "2"]
+    assert main(["sweep", *limits, "--out", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
+    # At 19 Hz and duty 0.05 stiction holds the piston; the other three points move.
+    assert re.search(r"unique +3\n +band +1\n", printed)
+    assert "at most 20 %: 3 of 4 points" in printed
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"orbit_map.png", "validity_map.png", "sweep.json"}
+    data = json.loads((tmp_path / "out" / "sweep.json").read_text())
+    orbit = lp.nonlinear_orbit(lp.load_machine("kunt_singh_1990").with_duty(0.5), 4.0)
+    assert data["nonlinear"]["amplitudes"][0][1] == pytest.approx(orbit.amplitude("position"), rel=1e-6)
+    assert data["ltv"]["errors"][1][0] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (["--points", "1"], "--points: found 1, expected 2 or more"),
+        (["--duty", "0.6", "0.4"], "--duty: found 0.6 0.4, expected two rising numbers above zero and at most 1"),
+        (["--frequency", "1", "nan"], "--frequency: found 1 nan"),
+        (["--frequency", "0", "4"], "--frequency: found 0 4, expected two rising numbers above zero"),
+        (["--duty", "0.2", "1.5"], "--duty: found 0.2 1.5"),
+    ],
+)
+def test_bad_limits_of_a_sweep_exit_2(arguments, match, tmp_path, capsys):
+    assert main(["sweep", *arguments, "--out", str(tmp_path / "out")]) == 2
+    assert match in capsys.readouterr().err
 
 
 def test_a_springless_machine_has_no_verdict_but_an_explanation(tmp_path, capsys):

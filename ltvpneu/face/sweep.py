@@ -1,0 +1,111 @@
+"""`ltvpneu sweep`: maps over duty and frequency of what the machine settles on and how far off a linear model is."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from tqdm import tqdm
+
+from ltvpneu.face.report import table
+from ltvpneu.face.study_data import plain
+from ltvpneu.models.ltv import OperatingPoints
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.maps import KINDS, OrbitMap, ValidityMap, orbit_map, validity_map
+
+LARGEST = sys.float_info.max
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sweep:
+    """Both maps over the same grid."""
+
+    orbits: OrbitMap
+    validity: ValidityMap
+
+
+def grid(name: str, limits: list[float], points: int, most: float) -> list[float]:
+    """Return evenly spaced values from the first limit to the second.
+
+    Raises
+    ------
+    ValueError
+        The limits are not two rising numbers above zero and up to `most`, or there are fewer than two points.
+    """
+    low, high = limits
+    if not 0 < low < high <= most:
+        upper = f" and at most {most:g}" if most < LARGEST else ""
+        raise ValueError(f"--{name}: found {low:g} {high:g}, expected two rising numbers above zero{upper}")
+    if points < 2:
+        raise ValueError(f"--points: found {points}, expected 2 or more")
+    return np.linspace(low, high, points).tolist()
+
+
+def run_sweep(
+    machine: Machine, duties: list[float], frequencies: list[float], n_steps: int, operating_points: OperatingPoints
+) -> Sweep:
+    """Work both maps out, with a progress bar."""
+    # The nonlinear machine takes as long as the model, near enough for a bar.
+    with tqdm(total=2 * len(duties) * len(frequencies), desc="sweep", unit="point", leave=False) as bar:
+        orbits = orbit_map(machine, duties, frequencies, progress=bar.update)
+        validity = validity_map(
+            machine,
+            duties,
+            frequencies,
+            n_steps=n_steps,
+            operating_points=operating_points,
+            progress=bar.update,
+        )
+    return Sweep(orbits=orbits, validity=validity)
+
+
+def sweep_text(sweep: Sweep) -> str:
+    """Return what a sweep found: how many of each kind, and how far off the linear model is."""
+    orbits, validity = sweep.orbits, sweep.validity
+    rows = [[kind, str(orbits.count(kind))] for kind in KINDS if orbits.count(kind)]
+    errors = np.abs(validity.errors)
+    total, known = errors.size, int(np.isfinite(errors).sum())
+    model = f'LTV model, {validity.n_steps} steps, operating points "{validity.mode}"'
+    lines = [table(["nonlinear orbit", "points"], rows), "", f"{model}: estimated error of the amplitude"]
+    for limit in (0.01, 0.05, 0.2):
+        lines.append(f"  at most {100 * limit:>2g} %: {int((errors <= limit).sum())} of {total} points")
+    lines.append(f"  without a figure, the piston resting or no cycle found: {total - known}")
+    for failure in (*orbits.failures, *validity.failures):
+        lines.append(f"  {failure.model} at {failure.frequency:g} Hz: {failure.error}")
+    return "\n".join(lines)
+
+
+def sweep_data(sweep: Sweep) -> dict[str, Any]:
+    """Return every figure of a sweep in SI units, ready for JSON."""
+    orbits, validity = sweep.orbits, sweep.validity
+    names = ("frequencies", "duties", "kinds", "n_periods", "amplitudes", "means", "n_simulated", "lyapunov_exponents")
+    linear = ("mode", "n_steps", "amplitudes", "errors")
+    return plain(
+        {
+            "units": "SI: m, s, Hz; rows are frequencies, columns duties",
+            "machine": orbits.machine.name,
+            "nonlinear": {name: getattr(orbits, name) for name in names},
+            "ltv": {name: getattr(validity, name) for name in linear},
+            "failures": [
+                {"model": f.model, "frequency": f.frequency, "error": str(f.error)}
+                for f in (*orbits.failures, *validity.failures)
+            ],
+        }
+    )
+
+
+def write_sweep(sweep: Sweep, folder: Path) -> list[Path]:
+    """Write both pictures and the JSON; return their paths."""
+    # A lazy door, as for the study.
+    from ltvpneu.face import pictures
+
+    written: list[Path] = []
+    for name, found in (("orbit_map", sweep.orbits), ("validity_map", sweep.validity)):
+        written.append(folder / f"{name}.png")
+        pictures.draw(found).savefig(written[-1], dpi=150)
+    written.append(folder / "sweep.json")
+    written[-1].write_text(json.dumps(sweep_data(sweep), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return written
