@@ -16,7 +16,9 @@ from ltvpneu.models.amplitude import AmplitudeResponse
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.maps import OrbitMap, ValidityMap
+from ltvpneu.models.parameters import ParameterSensitivity
 from ltvpneu.models.staircase import Staircase, staircase, step_means
+from ltvpneu.models.variational import OrbitFloquet
 from ltvpneu.periodic.floquet import Floquet, floquet
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.system import PeriodicSystem
@@ -60,12 +62,14 @@ def draw(result: object) -> Figure:
         return draw_areas(result.machine, _stairs_of(result))
     if isinstance(result, PeriodicSystem):
         return draw_multipliers({result.name: floquet(result)})
-    if isinstance(result, Floquet):
+    if isinstance(result, Floquet | OrbitFloquet):
         return draw_multipliers({"": result})
     if isinstance(result, Orbit):
         return draw_cycles({result.name: result}, title=_orbit_title(result))
     if isinstance(result, AmplitudeResponse):
         return draw_amplitudes(result)
+    if isinstance(result, ParameterSensitivity):
+        return draw_sensitivity(result)
     if isinstance(result, OrbitMap):
         return draw_orbit_map(result)
     if isinstance(result, ValidityMap):
@@ -79,7 +83,7 @@ def _draw_mapping(result: Mapping[str, object]) -> Figure:
     orbits = {str(label): value for label, value in result.items() if isinstance(value, Orbit)}
     if len(orbits) == len(result):
         return draw_cycles(orbits, title=f"{1 / next(iter(orbits.values())).system_period:.4g} Hz")
-    multipliers = {str(label): value for label, value in result.items() if isinstance(value, Floquet)}
+    multipliers = {str(label): value for label, value in result.items() if isinstance(value, Floquet | OrbitFloquet)}
     if len(multipliers) == len(result):
         return draw_multipliers(multipliers)
     kinds = sorted({type(value).__name__ for value in result.values()})
@@ -92,7 +96,7 @@ def _draw_by_itself(result: object) -> Figure:
     if not type(result).__module__.startswith("control") or method is None:
         raise TypeError(
             f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, Orbit, "
-            "AmplitudeResponse, OrbitMap, ValidityMap, a dict of Orbit or Floquet, or a response of python-control"
+            "OrbitFloquet, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, a dict of Orbit or Floquet, or a response of python-control"
         )
     import matplotlib.pyplot as plt
 
@@ -213,7 +217,7 @@ def draw_amplitudes(found: AmplitudeResponse, frictionless: FloatArray | None = 
     return figure
 
 
-def draw_multipliers(multipliers: Mapping[str, Floquet]) -> Figure:
+def draw_multipliers(multipliers: Mapping[str, Floquet | OrbitFloquet]) -> Figure:
     """Floquet multipliers on the unit circle."""
     figure = Figure(figsize=(5.2, 5.2), layout="constrained")
     ax = figure.subplots()
@@ -243,3 +247,23 @@ def draw_multipliers(multipliers: Mapping[str, Floquet]) -> Figure:
 def _add_cross(ax: Axes) -> None:
     ax.axhline(0, color="0.7", linewidth=0.8, zorder=0)
     ax.axvline(0, color="0.7", linewidth=0.8, zorder=0)
+
+
+def draw_sensitivity(found: ParameterSensitivity) -> Figure:
+    """Changes of the position's amplitude and mean for one percent more of each parameter."""
+    figure = Figure(figsize=(7, 1.4 + 0.5 * len(found.parameters)), layout="constrained")
+    ax = figure.subplots()
+    places = np.arange(len(found.parameters))
+    for number, (label, derivative) in enumerate((("amplitude", found.amplitude), ("mean", found.mean))):
+        changes = [
+            1e3 * 0.01 * value * derivative("position", name)
+            for name, value in zip(found.parameters, found.values, strict=True)
+        ]
+        ax.barh(places + 0.4 * (number - 0.5), changes, 0.36, color=PALETTE[number], label=label)
+    ax.set_yticks(places, [name.replace("_", " ") for name in found.parameters])
+    ax.invert_yaxis()
+    ax.axvline(0, color="0.4", linewidth=0.8)
+    ax.set_xlabel("change of the position for 1 % more of the parameter [mm]")
+    ax.grid(axis="x", alpha=0.3)
+    ax.legend(fontsize=8)
+    return figure

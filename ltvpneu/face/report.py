@@ -7,7 +7,10 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.face.study import Case, Study
+from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.stiction_band import StictionBand
+from ltvpneu.models.variational import OrbitFloquet
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 
@@ -177,7 +180,7 @@ def failure_lines(cases: Sequence[Case]) -> list[str]:
     return [f"  failed: {', '.join(places)}: {why}" for why, places in where.items()]
 
 
-def multipliers_text(found: Floquet) -> str:
+def multipliers_text(found: Floquet | OrbitFloquet) -> str:
     """Return the multipliers, a pair of complex ones as one, and as a power of ten what is beyond double precision."""
     parts: list[str] = []
     for value, log_modulus in zip(found.multipliers, found.log_moduli, strict=True):
@@ -197,33 +200,45 @@ def cycle_table(cases: Sequence[Case]) -> str:
     for case in cases:
         reference = case.orbits.get("nonlinear")
         for name, orbit in case.orbits.items():
-            cells = _cycle_cells(orbit, reference, pressures)
-            rows.append([f"{case.frequency:g} Hz {LABELS[name]}", *cells, ", ".join(remarks(orbit, case.machine))])
+            cells = _cycle_cells(orbit, reference, case.estimates.get(name))
+            ranges = [f"{orbit.minimum(p) / 1e5:.3f} to {orbit.maximum(p) / 1e5:.3f}" for p in pressures]
+            found = ", ".join(remarks(orbit, case.machine, case.bands.get(name)))
+            rows.append([f"{case.frequency:g} Hz {LABELS[name]}", *cells, *ranges, found])
         rows += [
-            [f"{case.frequency:g} Hz {LABELS[name]}", "failed", *[""] * (4 + len(pressures))] for name in case.failures
+            [f"{case.frequency:g} Hz {LABELS[name]}", "failed", *[""] * (6 + len(pressures))]
+            for name in case.failures
+            if name not in case.orbits
         ]
+    header = ["model", "amplitude [mm]", "error", "estimated", "mean [mm]", "error [mm]", "estimated [mm]"]
     names = [f"{name.replace('_', ' ')} [bar abs]" for name in pressures]
-    text = table(["model", "amplitude [mm]", "error", "mean [mm]", "error [mm]", *names, "remark"], rows)
-    return "\n".join([text, *failure_lines(cases)])
+    text = table([*header, *names, "remark"], rows)
+    doubts = [estimate for case in cases for estimate in case.estimates.values() if not estimate.is_reliable]
+    notes = ["  (? The model is too far off for an estimate of its error: a first guess.)"] if doubts else []
+    return "\n".join([text, *notes, *failure_lines(cases)])
 
 
-def _cycle_cells(orbit: Orbit, reference: Orbit | None, pressures: Sequence[str]) -> list[str]:
+def _cycle_cells(orbit: Orbit, reference: Orbit | None, estimate: ErrorEstimate | None) -> list[str]:
     amplitude, mean = orbit.amplitude("position"), orbit.mean("position")
-    error, shift = "", ""
+    error, shift, estimated, estimated_shift = "", "", "", ""
+    if estimate is not None:
+        # Relative to the estimated true amplitude, which is zero where stiction would hold the piston.
+        relative, doubt = estimate.relative_amplitude("position"), "" if estimate.is_reliable else "?"
+        estimated = f"{100 * relative:+.1f} %{doubt}" if math.isfinite(relative) else f"rests{doubt}"
+        estimated_shift = f"{1e3 * estimate.mean('position'):+.2f}{doubt}"
     if reference is not None and orbit is not reference:
         of_reference = reference.amplitude("position")
         # A piston that rests moves by rounding only: a ratio would mean nothing.
         error = f"{100 * (amplitude / of_reference - 1):+.1f} %" if of_reference > 1e-7 else ""
         shift = f"{1e3 * (mean - reference.mean('position')):+.2f}"
-    ranges = [f"{orbit.minimum(p) / 1e5:.3f} to {orbit.maximum(p) / 1e5:.3f}" for p in pressures]
-    return [f"{1e3 * amplitude:.3f}", error, f"{1e3 * mean:.2f}", shift, *ranges]
+    return [f"{1e3 * amplitude:.3f}", error, estimated, f"{1e3 * mean:.2f}", shift, estimated_shift]
 
 
-def remarks(orbit: Orbit, machine: Machine) -> list[str]:
+def remarks(orbit: Orbit, machine: Machine, band: StictionBand | None = None) -> list[str]:
     """Return what is special about an orbit, and where a linear one leaves what the machine can do."""
     found: list[str] = []
     if not orbit.is_unique:
-        found.append("one of a stiction band")
+        within = f", {1e3 * band.lowest:.2f} to {1e3 * band.highest:.2f} mm" if band else ""
+        found.append(f"one of a stiction band{within}")
     if orbit.n_periods > 1:
         found.append(f"repeats every {orbit.n_periods} periods")
     low, high = orbit.minimum("position"), orbit.maximum("position")

@@ -12,14 +12,16 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.amplitude import MODELS, AmplitudeResponse, amplitude_response
+from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.lti import lti_model
 from ltvpneu.models.ltv import OperatingPoints, ltv_model
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear import nonlinear_orbit
+from ltvpneu.models.stiction_band import StictionBand, stiction_band
+from ltvpneu.models.variational import OrbitFloquet, orbit_floquet
 from ltvpneu.periodic.floquet import Floquet, floquet
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.steady import steady_state
 
 
 @final
@@ -30,8 +32,12 @@ class Case:
     machine: Machine
     frequency: float
     models: dict[str, LtvModel]
-    floquets: dict[str, Floquet]
+    floquets: dict[str, Floquet | OrbitFloquet]
     orbits: dict[str, Orbit]
+    estimates: dict[str, ErrorEstimate]
+    """How far off the linear models say they are, without the nonlinear one."""
+    bands: dict[str, StictionBand]
+    """Where the piston stays at rest, if its orbit is one of a stiction band."""
     failures: dict[str, str]
 
 
@@ -89,32 +95,40 @@ def n_parts(machine: Machine, frequencies: Sequence[float], grid: FloatArray) ->
 
 def run_case(machine: Machine, frequency: float, n_steps: int, operating_points: OperatingPoints) -> Case:
     """Work one frequency through."""
-    models: dict[str, LtvModel] = {}
-    floquets: dict[str, Floquet] = {}
-    orbits: dict[str, Orbit] = {}
-    failures: dict[str, str] = {}
+    case = Case(
+        machine=machine,
+        frequency=frequency,
+        models={},
+        floquets={},
+        orbits={},
+        estimates={},
+        bands={},
+        failures={},
+    )
     for name in MODELS:
         try:
             if name == "nonlinear":
-                orbits[name] = nonlinear_orbit(machine, frequency)
+                _add_nonlinear(case)
                 continue
             model = (
                 ltv_model(machine, frequency, n_steps=n_steps, operating_points=operating_points)
                 if name == "ltv"
                 else lti_model(machine, frequency)
             )
-            models[name], floquets[name] = model, floquet(model.system)
-            orbits[name] = steady_state(model.system)
+            case.models[name], case.floquets[name] = model, floquet(model.system)
+            case.orbits[name] = model.orbit
+            case.estimates[name] = model.error_estimate
         except (LtvpneuError, ValueError) as error:
-            failures[name] = str(error)
-    return Case(
-        machine=machine,
-        frequency=frequency,
-        models=models,
-        floquets=floquets,
-        orbits=orbits,
-        failures=failures,
-    )
+            case.failures[name] = str(error)
+    return case
+
+
+def _add_nonlinear(case: Case) -> None:
+    machine = case.machine
+    orbit = case.orbits["nonlinear"] = nonlinear_orbit(machine, case.frequency)
+    case.floquets["nonlinear"] = orbit_floquet(machine, orbit)
+    if not orbit.is_unique:
+        case.bands["nonlinear"] = stiction_band(machine, case.frequency)
 
 
 def frequency_grid(frequencies: Sequence[float], n_points: int) -> FloatArray:

@@ -7,9 +7,11 @@ import numpy as np
 
 from ltvpneu.face.report import remarks
 from ltvpneu.face.study import Case, Study
+from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.operating_points import quasi_static_turn
+from ltvpneu.models.variational import OrbitFloquet
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 
@@ -78,6 +80,8 @@ def case_data(case: Case) -> dict[str, Any]:
         "models": {name: model_data(model) for name, model in case.models.items()},
         "floquet": {name: floquet_data(found) for name, found in case.floquets.items()},
         "orbits": {name: orbit_data(orbit, case.machine) for name, orbit in case.orbits.items()},
+        "estimated_errors": {name: estimate_data(estimate) for name, estimate in case.estimates.items()},
+        "stiction_bands": {name: {"lowest": b.lowest, "highest": b.highest} for name, b in case.bands.items()},
         "failures": case.failures,
     }
 
@@ -99,14 +103,30 @@ def model_data(model: LtvModel) -> dict[str, Any]:
     }
 
 
-def floquet_data(found: Floquet) -> dict[str, Any]:
-    """Return multipliers and verdict."""
+def floquet_data(found: Floquet | OrbitFloquet) -> dict[str, Any]:
+    """Return multipliers and verdict; of a nonlinear orbit, over its own period."""
     return {
         "multipliers": [[value.real, value.imag] for value in found.multipliers],
         "log_moduli": found.log_moduli,
         "spectral_radius": found.spectral_radius,
-        "margin": found.margin,
+        "margin": found.margin if isinstance(found, Floquet) else None,
         "verdict": found.verdict,
+    }
+
+
+def estimate_data(estimate: ErrorEstimate) -> dict[str, Any]:
+    """Return the estimated errors of a linear model's cycle: its value less the nonlinear machine's."""
+    return {
+        "is_reliable": estimate.is_reliable,
+        "signals": {
+            name: {
+                "amplitude": estimate.amplitude(name),
+                "mean": estimate.mean(name),
+                "minimum": estimate.minimum(name),
+                "maximum": estimate.maximum(name),
+            }
+            for name in estimate.states
+        },
     }
 
 
@@ -118,6 +138,7 @@ def orbit_data(orbit: Orbit, machine: Machine) -> dict[str, Any]:
         "n_periods": orbit.n_periods,
         "residual": orbit.residual,
         "initial_state": orbit.initial_state,
+        "branches": orbit.branches,
         "signals": {
             name: {
                 "amplitude": orbit.amplitude(name),

@@ -56,6 +56,8 @@ class ParameterSensitivity:
     """Derivatives of a cycle's figures, one column a parameter, in SI units."""
 
     parameters: tuple[str, ...]
+    values: FloatArray
+    """Of the parameters, where the derivatives are taken, (n_parameters,)."""
     states: tuple[str, ...]
     minima: FloatArray
     """(n_states, n_parameters)"""
@@ -218,6 +220,7 @@ def _derivatives(
     total = by_parameter + by_state @ by_start
     return ParameterSensitivity(
         parameters=tuple(parameters),
+        values=read_only(np.array([_present(machine, frequency, name) for name in parameters])),
         states=machine.states,
         minima=read_only(total[1]),
         maxima=read_only(total[2]),
@@ -226,22 +229,31 @@ def _derivatives(
     )
 
 
-def _moved(machine: Machine, frequency: float, name: str) -> tuple[tuple[tuple[Machine, float], ...], float]:
-    """Return machine and frequency with a parameter a little above and below, and the difference."""
+def _present(machine: Machine, frequency: float, name: str) -> float:
     if name == "frequency":
-        step = STEP * positive("frequency", frequency, "Hz")
-        return ((machine, frequency + step), (machine, frequency - step)), 2 * step
+        return positive("frequency", frequency, "Hz")
     if name == "duty":
-        duty = machine.duty
-        high, low = min(duty + STEP, 1.0), max(duty - STEP, 0.0)
-        return ((machine.with_duty(high), frequency), (machine.with_duty(low), frequency)), high - low
+        return machine.duty
     if name == "offset_angle":
         angle = float(getattr(machine.valve, "offset_angle", math.nan))
         if math.isnan(angle):
             raise ValueError("parameters: found 'offset_angle' of an on-off valve, expected 'duty'")
-        return tuple((machine.with_offset(angle + side * STEP), frequency) for side in (1, -1)), 2 * STEP
+        return angle
+    return _value(machine, name.split("."), name)
+
+
+def _moved(machine: Machine, frequency: float, name: str) -> tuple[tuple[tuple[Machine, float], ...], float]:
+    """Return machine and frequency with a parameter a little above and below, and the difference."""
+    value = _present(machine, frequency, name)
+    if name == "frequency":
+        step = STEP * value
+        return ((machine, frequency + step), (machine, frequency - step)), 2 * step
+    if name == "duty":
+        high, low = min(value + STEP, 1.0), max(value - STEP, 0.0)
+        return ((machine.with_duty(high), frequency), (machine.with_duty(low), frequency)), high - low
+    if name == "offset_angle":
+        return tuple((machine.with_offset(value + side * STEP), frequency) for side in (1, -1)), 2 * STEP
     path = name.split(".")
-    value = _value(machine, path, name)
     step = STEP * (abs(value) if value else 1.0)
     return tuple((_replaced(machine, path, value + side * step), frequency) for side in (1, -1)), 2 * step
 

@@ -38,6 +38,8 @@ PARTS = 4
 """Parts that each interval of the integrator is taken in."""
 NEAREST_SOURCE = 1e-4
 """Relative distance from a source's pressure within which the chord to it replaces an ever steeper slope [-]."""
+NEUTRAL = 1e-6
+"""Distance of a modulus from 1 within which a disturbance neither grows nor decays [-]."""
 
 
 @final
@@ -76,7 +78,14 @@ class OrbitFloquet:
     @cached_property
     def is_stable(self) -> bool:
         """Whether every small disturbance decays; false in a stiction band, whose every position stays."""
-        return self.spectral_radius < 1 - 1e-6
+        return self.spectral_radius < 1 - NEUTRAL
+
+    @property
+    def verdict(self) -> str:
+        """Stable, not stable, or marginal, as in a stiction band."""
+        if self.is_stable:
+            return "stable"
+        return "marginal" if self.spectral_radius <= 1 + NEUTRAL else "not stable"
 
 
 def orbit_floquet(machine: Machine, orbit: Orbit) -> OrbitFloquet:
@@ -131,6 +140,11 @@ class _Factors:
     def all(self) -> list[FloatArray]:
         """Return the factors in the order of time."""
         found: list[FloatArray] = []
+        if self.modes[0] == STUCK:
+            # A small velocity is braked at once, having moved the piston by its square only.
+            rested = np.eye(self.n)
+            rested[1, 1] = 0.0
+            found.append(rested)
         starts, spans = self.trajectory.starts, self.trajectory.spans
         step = np.clip(
             np.searchsorted(self.orbit.step_times, starts + 1e-9 * spans, side="right") - 1, 0, len(self.modes) - 1

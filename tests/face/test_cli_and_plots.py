@@ -279,3 +279,25 @@ def test_amplitudes_of_all_models_are_those_of_their_orbits(table_1):
 def test_bad_sweeps_are_named(table_1, arguments, match):
     with pytest.raises(ValueError, match=match):
         lp.amplitude_response(table_1, **arguments)
+
+
+def test_the_study_shows_the_estimated_error_the_band_and_the_multipliers_of_the_nonlinear_orbit(tmp_path, capsys):
+    arguments = ["study", "--frequency", "15", "20", "--duty", "0.7", "--points", "1", "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "one of a stiction band, 68.68 to 71.29 mm" in printed
+    assert re.search(r"20 Hz nonlinear +1, 0.06922, 0 +1 +marginal", printed)
+    locked = json.loads((tmp_path / "study.json").read_text())["cases"][1]
+    band = lp.stiction_band(lp.load_machine("kunt_singh_1990").with_duty(0.7), 20.0)
+    assert locked["stiction_bands"]["nonlinear"] == {"lowest": band.lowest, "highest": band.highest}
+    model = lp.ltv_model(lp.load_machine("kunt_singh_1990").with_duty(0.7), 20.0)
+    estimated = locked["estimated_errors"]["ltv"]["signals"]["position"]["amplitude"]
+    assert estimated == pytest.approx(model.error_estimate.amplitude("position"))
+
+
+def test_sensitivities_are_drawn_as_the_change_for_one_percent():
+    machine = lp.load_machine("kunt_singh_1990")
+    found = lp.parameter_sensitivity(lp.ltv_model(machine, 8.0, operating_points="fitted"))
+    bars = [bar.get_width() for bar in lp.plot(found).axes[0].patches]
+    assert len(bars) == 8
+    assert bars[0] == pytest.approx(10 * 0.5 * found.amplitude("position", "duty"))
