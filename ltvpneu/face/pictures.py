@@ -95,8 +95,9 @@ def _draw_by_itself(result: object) -> Figure:
     method = getattr(result, "plot", None)
     if not type(result).__module__.startswith("control") or method is None:
         raise TypeError(
-            f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, Orbit, "
-            "OrbitFloquet, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, a dict of Orbit or Floquet, or a response of python-control"
+            f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, OrbitFloquet, "
+            "Orbit, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, a dict of Orbit or Floquet, or a "
+            "response of python-control"
         )
     import matplotlib.pyplot as plt
 
@@ -250,7 +251,7 @@ def _add_cross(ax: Axes) -> None:
 
 
 def draw_sensitivity(found: ParameterSensitivity) -> Figure:
-    """Changes of the position's amplitude and mean for one percent more of each parameter."""
+    """Draw how the position's amplitude and mean change for one percent more of each parameter."""
     figure = Figure(figsize=(7, 1.4 + 0.5 * len(found.parameters)), layout="constrained")
     ax = figure.subplots()
     places = np.arange(len(found.parameters))

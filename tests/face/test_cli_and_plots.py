@@ -285,7 +285,7 @@ def test_the_study_shows_the_estimated_error_the_band_and_the_multipliers_of_the
     arguments = ["study", "--frequency", "15", "20", "--duty", "0.7", "--points", "1", "--out", str(tmp_path)]
     assert main(arguments) == 0
     printed = capsys.readouterr().out
-    assert "one of a stiction band, 68.68 to 71.29 mm" in printed
+    assert "one of a stiction band, 68.72 to 71.31 mm" in printed
     assert re.search(r"20 Hz nonlinear +1, 0.06922, 0 +1 +marginal", printed)
     locked = json.loads((tmp_path / "study.json").read_text())["cases"][1]
     band = lp.stiction_band(lp.load_machine("kunt_singh_1990").with_duty(0.7), 20.0)
