@@ -95,9 +95,9 @@ def _draw_by_itself(result: object) -> Figure:
     method = getattr(result, "plot", None)
     if not type(result).__module__.startswith("control") or method is None:
         raise TypeError(
-            f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, OrbitFloquet, "
-            "Orbit, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, a dict of Orbit or Floquet, or a "
-            "response of python-control"
+            f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, "
+            "OrbitFloquet, Orbit, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, a dict of Orbit or Floquet, "
+            "or a response of python-control"
         )
     import matplotlib.pyplot as plt
 
