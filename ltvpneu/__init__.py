@@ -8,10 +8,12 @@ from ltvpneu.errors import (
     NonUniqueOrbitError,
     NoOrbitError,
     NotConvergedError,
+    NotConvexError,
     NotSettledError,
     NotStabilizableError,
     NotStableError,
     SkippedStepError,
+    SolverError,
     StepOverflowError,
 )
 from ltvpneu.face.machine_file import load_machine
@@ -74,6 +76,7 @@ __all__ = [
     "NoOrbitError",
     "NonUniqueOrbitError",
     "NotConvergedError",
+    "NotConvexError",
     "NotSettledError",
     "NotStabilizableError",
     "NotStableError",
@@ -91,6 +94,7 @@ __all__ = [
     "RungeKutta4",
     "Sensitivity",
     "SkippedStepError",
+    "SolverError",
     "Step",
     "StepOverflowError",
     "StictionBand",

@@ -151,3 +151,21 @@ class IntegrationError(LtvpneuError):
 
 class ChamberVolumeError(IntegrationError):
     """The piston swept a chamber's volume down to zero."""
+
+
+class NotConvexError(LtvpneuError, ValueError):
+    """An objective or constraint that convex programming cannot take; the message passes on cvxpy's reason."""
+
+
+class SolverError(LtvpneuError):
+    """A solver ended without an answer that can be trusted.
+
+    Attributes
+    ----------
+    status : str
+        The solver's own word for it.
+    """
+
+    def __init__(self, message: str, *, status: str) -> None:
+        super().__init__(message)
+        self.status = status

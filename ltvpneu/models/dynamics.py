@@ -226,3 +226,59 @@ def source_ranges(areas: FloatArray, machine: MachineArrays) -> FloatArray:
         for k in range(n_chambers):
             found[step, k, 0], found[step, k, 1] = source_range(k, areas[step], machine)
     return found
+
+
+@compiled
+def source_flow(states: FloatArray, areas: FloatArray, from_supply: bool, machine: MachineArrays) -> FloatArray:
+    """Return the mass flow out of the supply, or out of the exhaust, at a stack of states [kg/s], (n_states,).
+
+    Shapes: states (n_states, n), areas (n_states, 2, n_paths).
+    """
+    found = np.zeros(states.shape[0])
+    source = machine.supply if from_supply else machine.exhaust
+    for i in range(states.shape[0]):
+        for path in range(machine.path_chamber.size):
+            if machine.path_from_supply[path] == from_supply:
+                k = machine.path_chamber[path]
+                inside = gas_in_chamber(k, states[i, 2 + k], machine)
+                found[i] += mass_flow(areas[i, 0, path], areas[i, 1, path], source, inside, machine.gas)
+    return found
+
+
+@compiled
+def supply_flow_tangents(
+    points: FloatArray, areas: FloatArray, distance: float, machine: MachineArrays
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return rows c, d and offset q of the supply's mass flow c z + d u + q [kg/s] about one state per step.
+
+    Closer to the supply's pressure than `distance`, relative to it, the slope is that of the chord to it.
+    """
+    n_steps, n = points.shape
+    by_state, by_input, offset = np.zeros((n_steps, n)), np.zeros((n_steps, 3)), np.zeros(n_steps)
+    source = machine.supply
+    for i in range(n_steps):
+        for path in range(machine.path_chamber.size):
+            first, second = areas[i, 0, path], areas[i, 1, path]
+            if not machine.path_from_supply[path] or first == 0.0 or second == 0.0:
+                continue
+            k = machine.path_chamber[path]
+            pressure = points[i, 2 + k]
+            least = distance * source.pressure
+            if abs(pressure - source.pressure) < least:
+                pressure = source.pressure + (least if pressure > source.pressure else -least)
+                inside = gas_in_chamber(k, pressure, machine)
+                slope = mass_flow(first, second, source, inside, machine.gas) / (pressure - source.pressure)
+                by_state[i, 2 + k] += slope
+                by_input[i, 0] -= slope
+                continue
+            inside = gas_in_chamber(k, pressure, machine)
+            slopes = mass_flow_slopes(first, second, source, inside, machine.gas)
+            through = mass_flow(first, second, source, inside, machine.gas)
+            by_chamber = slopes[1]
+            if through < 0.0:
+                exponent = machine.chambers[k, 2]
+                by_chamber -= 0.5 * through * (exponent - 1.0) / (exponent * pressure)
+            by_state[i, 2 + k] += by_chamber
+            by_input[i, 0] += slopes[0]
+            offset[i] += through - by_chamber * pressure - slopes[0] * source.pressure
+    return by_state, by_input, offset
