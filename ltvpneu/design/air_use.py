@@ -15,7 +15,7 @@ from ltvpneu.periodic.system import PeriodicSystem
 AIR_USE = "air_use"
 """Name of the output: mass flow out of the supply [kg/s]."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
-PARTS = 256
+PARTS = 2048
 """Parts of a period, cut at the switches too, over each of which the flow of an orbit is integrated."""
 LEAST_DISTANCE = 1e-3
 """Relative distance from the supply's pressure within which the flow's slope is that of a chord [-]."""

@@ -3,6 +3,10 @@
 A step's local error falls with the third power of its length, so n pieces of a step of error e make e / n^3 each. Cuts
 go one by one to the step whose pieces make the most. Near an infinite slope the power is lower; a few rounds of
 marching and cutting anew close in on it all the same.
+
+Stick, slip and stops are cut at exactly. Where a flow chokes no cut is made: the slope of every law of flow here is
+continuous there (it is zero on both sides, over the downstream pressure), so a step across has the same order of error
+as any other, and is cut if that is large.
 """
 
 import numpy as np

@@ -1,0 +1,299 @@
+r"""Certificates of stability for whole sets of step matrices, whatever the switching.
+
+One quadratic Lyapunov function z' P z with
+
+.. math:: A_i' P + P A_i \preceq -2 \alpha P, \qquad P \succ 0
+
+for all i proves that every switching between the A_i, at any duty cycle, pattern and frequency, decays at least as
+e^{-\alpha t}; being linear in A_i, it proves so for their convex hull too [Boyd1994]_. Where there is none but each A_i
+is stable by itself, functions P_i with rates alpha prove it for all switching that stays in each step at least for
+ln(mu) / (2 alpha), mu the largest eigenvalue of any P_j^{-1} P_i [Morse1996]_.
+
+The problem is solved in balanced coordinates and its answer checked by eigenvalues: the rate reported is the one that
+P itself shows, less what rounding may do.
+
+.. [Boyd1994] S. Boyd et al., "Linear Matrix Inequalities in System and Control Theory", SIAM, 1994, section 5.1.
+.. [Morse1996] A. S. Morse, "Supervisory control of families of linear set-point controllers", IEEE Trans. Autom.
+   Control 41, 1996, lemma 2.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, cast, final
+
+import cvxpy as cp
+import numpy as np
+from cvxpy.error import SolverError as CvxpySolverError
+from numpy.typing import ArrayLike
+from scipy.linalg import eigh
+
+from ltvpneu._arrays import FloatArray, finite_array, read_only
+from ltvpneu.models.dynamics import tangents
+from ltvpneu.models.linearize import LtvModel
+from ltvpneu.models.machine import Machine
+from ltvpneu.periodic.propagate import balancing_scales
+from ltvpneu.periodic.system import PeriodicSystem
+
+Systems = PeriodicSystem | LtvModel | Sequence[PeriodicSystem | LtvModel] | ArrayLike
+
+BISECTIONS = 30
+"""Rounds in which the decay rate is closed in on."""
+RATE_TOLERANCE = 1e-3
+"""Relative gap between rates that were and were not certified, at which the search ends [-]."""
+CONDITION = 1e8
+"""Condition of P in balanced coordinates up to which a function is looked for [-]."""
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Certificate:
+    """A proof of stability that was checked, or the outcome that none was found."""
+
+    kind: str
+    """"common" (any switching), "dwell time" (switching that stays long enough), or "none"."""
+    decay_rate: float
+    """Rate alpha that the functions themselves show [1/s]; nan if there is none."""
+    dwell_time: float
+    """Least time between switches [s]: 0 for a common function, nan if there is none."""
+    functions: FloatArray
+    """P of the common function, (1, n, n), or of each matrix, (n_matrices, n, n), in the states' units."""
+    margin: float
+    """Distance of the worst rate from zero beyond what rounding may do [1/s]; above zero wherever there is a proof."""
+    upper_bound: float
+    """No certificate can show a rate above this: the slowest single matrix's own [1/s]."""
+    matrices: FloatArray
+    """What the certificate is for, (n_matrices, n, n)."""
+
+    def __repr__(self) -> str:
+        if self.kind == "none":
+            return (
+                f"<Certificate: none found for {len(self.matrices)} matrices; best single rate {self.upper_bound:.3g}>"
+            )
+        stay = f", dwell time {self.dwell_time:.4g} s" if self.kind == "dwell time" else ""
+        return f"<Certificate: {self.kind}, decay rate {self.decay_rate:.4g} 1/s{stay}, {len(self.matrices)} matrices>"
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether stability is proved for every switching, without a dwell time."""
+        return self.kind == "common"
+
+
+def common_lyapunov(systems: Systems) -> Certificate:
+    """Look for one quadratic Lyapunov function of a set of step matrices, else for a dwell time.
+
+    Parameters
+    ----------
+    systems : PeriodicSystem, LtvModel, a sequence of these, or array_like, shape (n_matrices, n, n)
+        All step matrices of all of them. Of a machine over a box of operating points: `operating_box`.
+
+    Returns
+    -------
+    Certificate
+        Its kind is "common", "dwell time" or "none"; every figure is checked after the solver.
+
+    Raises
+    ------
+    ValueError
+        No matrices, or matrices of different sizes.
+
+    Examples
+    --------
+    Two stable matrices that share no function, since switching between them can be unstable:
+
+    >>> from ltvpneu import design
+    >>> design.common_lyapunov([[[-1.0, 10.0], [-0.1, -1.0]], [[-1.0, 0.1], [-10.0, -1.0]]]).kind
+    'dwell time'
+    """
+    matrices = step_matrices(systems)
+    # All together, each as long as it is fast: durations do not matter for any switching.
+    scales = balancing_scales(matrices, 1.0 / np.maximum(np.abs(matrices).sum(axis=(1, 2)), np.finfo(float).tiny))
+    balanced = matrices * (scales / scales[:, None])
+    speed = float(np.abs(balanced).sum(axis=2).max(initial=0.0)) or 1.0
+    unit = balanced / speed
+    bounds = -np.max(np.linalg.eigvals(unit).real, axis=1)
+    upper = float(bounds.min())
+
+    def outcome(kind: str, functions: FloatArray, rate: float, dwell: float) -> Certificate:
+        return Certificate(
+            kind=kind,
+            decay_rate=rate * speed,
+            dwell_time=dwell / speed,
+            functions=read_only(functions / scales / scales[:, None]),
+            margin=rate * speed,
+            upper_bound=upper * speed,
+            matrices=matrices,
+        )
+
+    nothing = outcome("none", np.empty((0, *unit.shape[1:])), np.nan, np.nan)
+    if upper <= 0:
+        return nothing
+    common = _best(unit, upper)
+    if common is not None:
+        return outcome("common", common[0][None], common[1], 0.0)
+    found = [_best(matrix[None], float(bound)) for matrix, bound in zip(unit, bounds, strict=True)]
+    kept = [each for each in found if each is not None]
+    if len(kept) < len(found):
+        return nothing
+    functions = np.array([P for P, _ in kept])
+    rate = min(rate for _, rate in kept)
+    # Rounded up by what the eigenvalues may be off.
+    jumps = [float(eigh(P, Q, eigvals_only=True)[-1]) for P, Q in product(functions, functions)]
+    dwell = np.log(max(jumps) * (1 + 1e-9)) / (2 * rate)
+    return outcome("dwell time", functions, rate, max(float(dwell), 0.0))
+
+
+def step_matrices(systems: Systems) -> FloatArray:
+    """Return all step matrices of one or more systems, each once, (n_matrices, n, n)."""
+    items: list[Any] = list(cast(Any, systems)) if isinstance(systems, list | tuple) else [systems]
+    if items and all(isinstance(item, PeriodicSystem | LtvModel) for item in items):
+        parts = [(item.system if isinstance(item, LtvModel) else item).A for item in items]
+        sizes = {part.shape[1] for part in parts}
+        if len(sizes) > 1:
+            raise ValueError(f"systems: found {sorted(sizes)} states, expected as many in each")
+        stacked = np.concatenate(parts)
+    else:
+        stacked = finite_array("systems", cast(ArrayLike, systems), (None, None, None))
+    if stacked.shape[0] == 0 or stacked.shape[1] != stacked.shape[2]:
+        raise ValueError(f"systems: found shape {stacked.shape}, expected (n_matrices, n, n) with at least one")
+    return read_only(np.unique(stacked, axis=0))
+
+
+def verified_rate(matrices: FloatArray, P: FloatArray) -> float:
+    """Return the decay rate that P shows for every matrix, less a bound on rounding; -inf if P is not positive."""
+    P = 0.5 * (P + P.T)
+    values = np.linalg.eigvalsh(P)
+    if not values[0] > 1e-12 * values[-1]:
+        return -np.inf
+    rates: list[float] = []
+    for A in matrices:
+        decrease = A.T @ P + P @ A
+        slowest = float(eigh(decrease, P, eigvals_only=True)[-1])
+        # Of the product, and of the generalized eigenvalue: backward errors of its size over the smallest of P.
+        n = len(P)
+        rounding = 8 * n * np.finfo(float).eps * (2 * np.linalg.norm(A, 2) + abs(slowest)) * values[-1] / values[0]
+        rates.append(-0.5 * (slowest + float(rounding)))
+    return min(rates)
+
+
+def _best(matrices: FloatArray, upper: float) -> tuple[FloatArray, float] | None:
+    """Return the function of the highest rate found, and the rate it shows, if that is above zero."""
+    n = matrices.shape[1]
+    P = cp.Variable((n, n), symmetric=True)
+    slack, rate = cp.Variable(), cp.Parameter(nonneg=True)
+    identity = np.eye(n)
+    limits = [P >> identity / CONDITION, P << identity]
+    # Times the parameter, the variable P stays DPP.
+    limits += [A.T @ P + P @ A + 2 * rate * P << -slack * identity for A in matrices]
+    problem = cp.Problem(cp.Maximize(slack), limits)
+    best: tuple[FloatArray, float] | None = None
+    low, high = 0.0, upper
+    for attempt in range(BISECTIONS):
+        rate.value = 0.0 if attempt == 0 else 0.5 * (low + high)
+        shown = _attempt(problem, P, matrices)
+        if shown is not None and shown[1] > max(low, 0.0):
+            best, low = shown, shown[1]
+        elif attempt == 0:
+            return None
+        else:
+            high = float(rate.value)
+        if high - low <= RATE_TOLERANCE * upper:
+            break
+    return best
+
+
+def _attempt(problem: cp.Problem, P: cp.Variable, matrices: FloatArray) -> tuple[FloatArray, float] | None:
+    try:
+        problem.solve(solver=cp.CLARABEL)
+    except CvxpySolverError:
+        return None
+    if P.value is None:
+        return None
+    value = np.asarray(P.value, dtype=np.float64)
+    value = 0.5 * (value + value.T)
+    return value, verified_rate(matrices, value)
+
+
+def operating_box(
+    machine: Machine, *, position: tuple[float, float], pressures: Sequence[tuple[float, float]] | None = None
+) -> FloatArray:
+    """Return step matrices whose convex hull holds every linearization (8) over a box of operating points.
+
+    Parameters
+    ----------
+    machine : Machine
+    position : tuple of float
+        Least and greatest position [m].
+    pressures : sequence of tuple of float, optional
+        Least and greatest absolute pressure of each chamber [Pa]; by default from 2 % above the exhaust's to 2 % below
+        the supply's. Nearer to a source that is open, the flow's slope grows beyond all bounds.
+
+    Returns
+    -------
+    ndarray, shape (n_matrices, n, n)
+        Every entry that varies takes its least and its greatest value. The extremes are those on a fine grid over box
+        and openings, widened by what the entry can change between neighbouring points of the grid, estimated as its
+        largest change between neighbours.
+
+    Raises
+    ------
+    ValueError
+        Limits out of order, outside the cylinder, or a pressure not above zero.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> from ltvpneu import design
+    >>> box = design.operating_box(lp.load_machine("kunt_singh_1990"), position=(0.02, 0.08))
+    >>> box.shape
+    (4, 3, 3)
+    """
+    n_chambers = len(machine.cylinder.chambers)
+    if pressures is None:
+        pressures = [(1.02 * machine.exhaust_pressure, 0.98 * machine.supply_pressure)] * n_chambers
+    if len(pressures) != n_chambers:
+        raise ValueError(f"pressures: found {len(pressures)} pairs, expected {n_chambers}, one for each chamber")
+    stops = machine.cylinder.lower_stop, machine.cylinder.upper_stop
+    for name, (low, high), (least, most) in (
+        ("position", position, stops),
+        *((f"pressures[{k}]", pair, (0.0, np.inf)) for k, pair in enumerate(pressures)),
+    ):
+        if not (np.isfinite([low, high]).all() and least <= low <= high <= most) or (name != "position" and low <= 0):
+            raise ValueError(f"{name}: found {low:g} to {high:g}, expected rising values within {least:g} to {most:g}")
+    least, most = _entry_ranges(machine, position, pressures)
+    varying = np.argwhere(most > least)
+    found = np.tile(least, (2 ** len(varying), 1, 1))
+    for number, choice in enumerate(product((0, 1), repeat=len(varying))):
+        for (i, j), which in zip(varying, choice, strict=True):
+            found[number, i, j] = (least, most)[which][i, j]
+    return read_only(found)
+
+
+def _entry_ranges(
+    machine: Machine, position: tuple[float, float], pressures: Sequence[tuple[float, float]]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the least and greatest value of each entry of G over the box and all openings."""
+    areas = np.concatenate([machine.openings.areas[:, (0, 2)], machine.openings.areas[:, (1, 3)]])
+    areas = np.unique(areas, axis=0)
+    n = len(machine.states)
+    least, most = np.full((n, n), np.inf), np.full((n, n), -np.inf)
+    # A chamber's row knows its own pressure only, so one grid over position and pressure serves all chambers.
+    places, shares = np.linspace(*position, 65), np.linspace(0.0, 1.0, 257)
+    for openings in areas:
+        grid = np.zeros((places.size, shares.size, n))
+        grid[:, :, 0] = places[:, None]
+        for k, (low, high) in enumerate(pressures):
+            grid[:, :, 2 + k] = low + shares * (high - low)
+        flat = grid.reshape(-1, n)
+        A, _ = tangents(flat, np.broadcast_to(openings, (len(flat), *openings.shape)).copy(), machine.arrays, False)
+        if not np.isfinite(A).all():
+            raise ValueError(
+                "pressures: found a range that holds the pressure of an open source, where the flow's slope is "
+                "infinite; expected one apart from the sources'"
+            )
+        A = A.reshape(*grid.shape[:2], n, n)
+        steps = [np.abs(np.diff(A, axis=axis)).max(axis=(0, 1), initial=0.0) for axis in (0, 1)]
+        between = steps[0] + steps[1]
+        least = np.minimum(least, A.min(axis=(0, 1)) - between)
+        most = np.maximum(most, A.max(axis=(0, 1)) + between)
+    return least, most
