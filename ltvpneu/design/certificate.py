@@ -182,7 +182,7 @@ def _best(matrices: FloatArray, upper: float) -> tuple[FloatArray, float] | None
     P = cp.Variable((n, n), symmetric=True)
     slack, rate = cp.Variable(), cp.Parameter(nonneg=True)
     identity = np.eye(n)
-    limits = [P >> identity / CONDITION, P << identity]
+    limits: list[cp.Constraint] = [P >> identity / CONDITION, P << identity]
     # Times the parameter, the variable P stays DPP.
     limits += [A.T @ P + P @ A + 2 * rate * P << -slack * identity for A in matrices]
     problem = cp.Problem(cp.Maximize(slack), limits)

@@ -94,15 +94,30 @@ def test_steps_of_the_machine_share_a_function_and_every_duty_decays_at_its_rate
     machine = lp.load_machine("kunt_singh_1990")
     model = lp.ltv_model(machine, 4.0)
     found = design.common_lyapunov(model)
-    if found.kind == "common":
-        assert holds(found)
-        for duty in (0.1, 0.5, 0.9):
-            for frequency in (1.0, 5.0, 30.0):
-                durations = np.array([duty, 1 - duty]) / frequency
-                system = lp.PeriodicSystem.from_matrices(model.system.A, np.zeros((2, 3)), durations)
-                assert lp.floquet(system).log_moduli[0] * frequency <= -found.decay_rate * (1 - 1e-9)
-    else:
-        assert found.kind == "dwell time"
+    assert found.kind == "common"
+    assert found.decay_rate > 0.95 * found.upper_bound
+    assert holds(found)
+    for duty in (0.1, 0.5, 0.9):
+        for frequency in (1.0, 5.0, 30.0):
+            durations = np.array([duty, 1 - duty]) / frequency
+            system = lp.PeriodicSystem.from_matrices(model.system.A, np.zeros((2, 3)), durations)
+            assert lp.floquet(system).log_moduli[0] * frequency <= -found.decay_rate * (1 - 1e-9)
+
+
+def test_a_box_of_operating_points_is_certified_or_has_a_dwell_time():
+    machine = lp.load_machine("kunt_singh_1990")
+    small = design.operating_box(machine, position=(0.04, 0.06), pressures=[(1.5e5, 3.5e5)])
+    found = design.common_lyapunov(small)
+    assert found.kind == "common"
+    assert holds(found)
+    random = np.random.default_rng(2)
+    (P,) = found.functions
+    for _ in range(100):
+        state = [random.uniform(0.04, 0.06), 0.0, random.uniform(1.5e5, 3.5e5)]
+        A = lp.linearize(machine, state, areas=areas_at(machine, random.uniform(0, 2 * np.pi))).A
+        assert verified_rate(A[None], P) >= found.decay_rate * (1 - 1e-6)
+    large = design.operating_box(machine, position=(0.02, 0.08), pressures=[(1.5e5, 3.5e5)])
+    assert design.common_lyapunov(large).kind == "dwell time"
 
 
 def test_every_linearization_in_the_box_is_in_the_hull():
