@@ -162,6 +162,11 @@ def step_matrices(systems: Systems) -> FloatArray:
 def verified_rate(matrices: FloatArray, P: FloatArray) -> float:
     """Return the decay rate that P shows for every matrix, less a bound on rounding; -inf if P is not positive."""
     P = 0.5 * (P + P.T)
+    if not (np.diag(P) > 0).all():
+        return -np.inf
+    # Powers of two: the states may be in any units.
+    scales = 2.0 ** np.round(-0.5 * np.log2(np.diag(P)))
+    P, matrices = P * scales * scales[:, None], matrices * (scales / scales[:, None])
     values = np.linalg.eigvalsh(P)
     if not values[0] > 1e-12 * values[-1]:
         return -np.inf
