@@ -57,11 +57,17 @@ class ForcingProblem:
     inputs : dict of cvxpy.Expression
         Every input by name, shape () or (n_steps,), in SI units: variables, or what was given.
     signals : tuple of str
+    limits : dict of cvxpy.Constraint
+        Constraints that every solution keeps beside the user's: of a machine, that the supply's pressure is not below
+        the exhaust's, nor that below vacuum. A linear model would go there without a word. Take them out to look.
     """
 
-    def __init__(self, system: PeriodicSystem, inputs: dict[str, cp.Expression]) -> None:
+    def __init__(
+        self, system: PeriodicSystem, inputs: dict[str, cp.Expression], limits: dict[str, cp.Constraint]
+    ) -> None:
         self.system = system
         self.inputs = inputs
+        self.limits = limits
         self._affine = AffineOrbit(system=system)
         self.signals = self._affine.signals
         N = system.n_steps
@@ -104,7 +110,7 @@ class ForcingProblem:
         ----------
         objective : cvxpy.Minimize or cvxpy.Maximize
         constraints : sequence or dict of cvxpy constraints
-            Duals come back under the dict's names, else under "constraint 1", ...
+            Duals come back under the dict's names, else under "constraint 1", ...; those of `limits` under theirs.
         solver : str, optional
             One of cvxpy's; Clarabel at tolerances of 1e-11 by default.
 
@@ -115,7 +121,10 @@ class ForcingProblem:
         SolverError
             The solver failed, or its answer does not hold when the orbit is computed anew.
         """
-        solution = solve_convex(objective, named_constraints(constraints), solver)
+        named = named_constraints(constraints)
+        for name in self.limits.keys() & named.keys():
+            raise ValueError(f"constraints: found {name!r}, which is the name of one of the limits; expected another")
+        solution = solve_convex(objective, self.limits | named, solver)
         return self._solution(solution)
 
     def _solution(self, solution: Solution) -> ForcingSolution:
@@ -199,6 +208,7 @@ def forcing_problem(
     >>> print(f"{found.inputs['supply_pressure'] / 1e5:.3f} bar")
     3.863 bar
     """
+    of_machine = isinstance(system, LtvModel)
     if isinstance(system, LtvModel):
         system = with_air_use(system)
     expect_system(system)
@@ -224,7 +234,17 @@ def forcing_problem(
             inputs[name] = (abs(float(level)) or 1.0) * cp.Variable(shape, name=name)
         else:
             inputs[name] = _given(name, given[name] if name in given else float(level), system.n_steps)
-    return ForcingProblem(system, inputs)
+    return ForcingProblem(system, inputs, _limits(inputs) if of_machine else {})
+
+
+def _limits(inputs: dict[str, cp.Expression]) -> dict[str, cp.Constraint]:
+    supply, exhaust = inputs["supply_pressure"], inputs["exhaust_pressure"]
+    found: dict[str, cp.Constraint] = {}
+    if exhaust.variables():
+        found["exhaust above vacuum"] = exhaust >= 0
+    if supply.variables() or exhaust.variables():
+        found["supply above exhaust"] = supply >= exhaust
+    return found
 
 
 def with_inputs(system: PeriodicSystem, inputs: Mapping[str, FloatArray]) -> PeriodicSystem:

@@ -114,6 +114,7 @@ def test_a_quadratic_problem_with_active_bounds_equals_the_dense_one(model):
 def test_an_equality_constrained_problem_equals_its_kkt_system(model):
     angles = np.linspace(0, 6, 12)
     problem = design.forcing_problem(model, free=["supply_pressure"], per_step=["supply_pressure"])
+    problem.limits.clear()
     position, supply = problem.at("position", angles), problem.inputs["supply_pressure"]
     mean = cp.sum(position) / 12
     found = problem.solve(
@@ -154,6 +155,11 @@ def test_an_infeasible_problem_has_a_status_and_no_figures(model):
     assert np.isnan(found.value)
     assert np.isnan(found.inputs["supply_pressure"])
     assert found.system is None
+    # The linear model alone would take the supply below the exhaust, and below vacuum.
+    lowest = problem.solve(cp.Minimize(supply))
+    assert lowest.inputs["supply_pressure"] == pytest.approx(1e5)
+    assert lowest.duals["supply above exhaust"] > 0
+    problem.limits.clear()
     assert problem.solve(cp.Minimize(supply)).status == "unbounded"
 
 
@@ -165,6 +171,8 @@ def test_bad_problems_are_named(model):
         problem.solve(cp.Maximize(cp.square(problem.mean("position"))))
     with pytest.raises(lp.NotConvexError, match="not convex: floor"):
         problem.solve(cp.Minimize(0), {"floor": cp.square(problem.mean("position")) >= 1})
+    with pytest.raises(ValueError, match="found 'supply above exhaust', which is the name of one of the limits"):
+        problem.solve(cp.Minimize(0), {"supply above exhaust": problem.mean("position") >= 0})
     with pytest.raises(TypeError, match="objective: found int"):
         problem.solve(3)
     with pytest.raises(ValueError, match="constraint 1: found True"):
