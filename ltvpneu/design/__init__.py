@@ -2,15 +2,32 @@
 
 from ltvpneu.design.air_use import air_use, with_air_use
 from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box
+from ltvpneu.design.duty_map import DutyMap, duty_map
+from ltvpneu.design.feedback import (
+    ClosedLoop,
+    Measurement,
+    PositionController,
+    ValveLimits,
+    duty_model,
+    simulate_closed_loop,
+)
 from ltvpneu.design.forcing import ForcingProblem, ForcingSolution, forcing_problem
 
 __all__ = [
     "Certificate",
+    "ClosedLoop",
+    "DutyMap",
     "ForcingProblem",
     "ForcingSolution",
+    "Measurement",
+    "PositionController",
+    "ValveLimits",
     "air_use",
     "common_lyapunov",
+    "duty_map",
+    "duty_model",
     "forcing_problem",
     "operating_box",
+    "simulate_closed_loop",
     "with_air_use",
 ]

@@ -92,12 +92,19 @@ def _draw_mapping(result: Mapping[str, object]) -> Figure:
 
 def _draw_by_itself(result: object) -> Figure:
     """Draw a response of python-control by its own method."""
+    if type(result).__module__.startswith("ltvpneu.design"):
+        # Loads cvxpy, which whoever has such a result has loaded.
+        from ltvpneu.face.design_pictures import draw_design
+
+        figure = draw_design(result)
+        if figure is not None:
+            return figure
     method = getattr(result, "plot", None)
     if not type(result).__module__.startswith("control") or method is None:
         raise TypeError(
             f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, "
-            "OrbitFloquet, Orbit, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, a dict of Orbit or "
-            "of Floquet, or a response of python-control"
+            "OrbitFloquet, Orbit, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, DutyMap, ClosedLoop, a "
+            "dict of Orbit or of Floquet, or a response of python-control"
         )
     import matplotlib.pyplot as plt
 

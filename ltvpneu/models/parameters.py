@@ -13,7 +13,7 @@ the wrong sign. The partial derivatives are central differences of one period; n
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -92,6 +92,15 @@ class ParameterSensitivity:
         return signal_index(self.states, state), self.parameters.index(parameter)
 
 
+class Jacobians(NamedTuple):
+    """Of the end, the minima, the maxima and the means of a turn, in this order."""
+
+    by_state: FloatArray
+    """Over the start, (4, n, n)."""
+    by_parameter: FloatArray
+    """With the start kept, (4, n, n_parameters)."""
+
+
 def parameter_sensitivity(model: LtvModel, parameters: Sequence[str] = PARAMETERS) -> ParameterSensitivity:
     """Return the derivatives of a fitted or self-consistent model's cycle, through its operating points.
 
@@ -156,7 +165,8 @@ def parameter_sensitivity(model: LtvModel, parameters: Sequence[str] = PARAMETER
             residual=tight.residual,
             iterations=tight.n_marched,
         )
-    return _derivatives(period, (machine, model.frequency, tight.start[:-1] * scales), parameters)
+    found_jacobians = _jacobians(period, (machine, model.frequency, tight.start[:-1] * scales), parameters)
+    return _along_the_cycle(found_jacobians, machine, model.frequency, parameters)
 
 
 def nonlinear_sensitivity(
@@ -164,6 +174,11 @@ def nonlinear_sensitivity(
 ) -> ParameterSensitivity:
     """Return the derivatives of the nonlinear model's orbit; parameters and errors as of `parameter_sensitivity`."""
     orbit = nonlinear_orbit(machine, frequency, method=DormandPrince(rtol=TOLERANCE))
+    return _along_the_cycle(nonlinear_jacobians(machine, frequency, orbit, parameters), machine, frequency, parameters)
+
+
+def nonlinear_jacobians(machine: Machine, frequency: float, orbit: Orbit, parameters: Sequence[str]) -> Jacobians:
+    """Return how one turn of the nonlinear machine's orbit depends on its start and on parameters."""
     _expect_unique(orbit)
 
     def period(start: FloatArray, machine: Machine, frequency: float) -> tuple[FloatArray, Trajectory]:
@@ -177,7 +192,7 @@ def nonlinear_sensitivity(
             state = outcome.state
         return state, trajectory_of(joined(records, 1 / frequency))
 
-    return _derivatives(period, (machine, float(frequency), orbit.initial_state.copy()), parameters)
+    return _jacobians(period, (machine, float(frequency), orbit.initial_state.copy()), parameters)
 
 
 def _expect_unique(orbit: Orbit) -> None:
@@ -192,9 +207,7 @@ def _expect_unique(orbit: Orbit) -> None:
         )
 
 
-def _derivatives(
-    period: Period, at: tuple[Machine, float, FloatArray], parameters: Sequence[str]
-) -> ParameterSensitivity:
+def _jacobians(period: Period, at: tuple[Machine, float, FloatArray], parameters: Sequence[str]) -> Jacobians:
     machine, frequency, start = at
     scales, n = machine.state_scales, len(machine.states)
 
@@ -214,6 +227,14 @@ def _derivatives(
     for column, name in enumerate(parameters):
         (up, down), width = _moved(machine, frequency, name)
         by_parameter[:, :, column] = (figures(start, *up) - figures(start, *down)) / width
+    return Jacobians(by_state, by_parameter)
+
+
+def _along_the_cycle(
+    jacobians: Jacobians, machine: Machine, frequency: float, parameters: Sequence[str]
+) -> ParameterSensitivity:
+    by_state, by_parameter = jacobians
+    scales, n = machine.state_scales, len(machine.states)
     # Scaled, for the states span seven decades.
     left = np.eye(n) - by_state[0] * scales / scales[:, None]
     by_start = scales[:, None] * np.linalg.solve(left, by_parameter[0] / scales[:, None])

@@ -1,0 +1,352 @@
+"""Feedback through the duty cycle: the sampled small-signal model, and the nonlinear machine under a controller.
+
+A controller acts once a period: it sees the state at the period's start and the means of the last one, and sets the
+duty of the next. The small-signal model is the derivative of the nonlinear machine's map over one period about its
+orbit, stick and slip included, by central differences of integrations at a tolerance of 1e-10.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, cast, final
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray, finite, finite_array, not_negative, positive, read_only, whole
+from ltvpneu.design.duty_map import DutyMap
+from ltvpneu.models.integrator import OK, integrate_period
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.nonlinear import (
+    DormandPrince,
+    integration_settings,
+    nonlinear_orbit,
+    raise_stopped,
+    schedule_of,
+    trajectory_of,
+)
+from ltvpneu.models.parameters import TOLERANCE, nonlinear_jacobians
+from ltvpneu.models.runge_kutta import Run
+from ltvpneu.periodic import bridge
+
+if TYPE_CHECKING:
+    import control
+
+INPUTS = {"duty": "duty", "supply_pressure": "supply_pressure", "load_force": "load.force"}
+"""Inputs of the small-signal model, and the machine's parameters that they are."""
+SIMULATION_TOLERANCE = 1e-7
+POINTS_PER_PERIOD = 50
+
+
+def duty_model(
+    machine: Machine,
+    frequency: float,
+    duty: float | None = None,
+    *,
+    inputs: Sequence[str] = ("duty", "supply_pressure", "load_force"),
+) -> "control.StateSpace":
+    """Return how the machine answers to small changes from period to period, about its orbit.
+
+    Parameters
+    ----------
+    machine : Machine
+    frequency : float
+        Switching frequency [Hz]; the model's dt is the period.
+    duty : float, optional
+        Operating point; the machine's own by default.
+    inputs : sequence of str
+        Of "duty", "supply_pressure" [Pa] and "load_force" [N], constant through each period.
+
+    Returns
+    -------
+    control.StateSpace
+        States: the machine's, at the start of each period. Outputs: "position" there [m], "mean_position" over the
+        period [m], and "force", the mean push of the pressures on the piston [N]. All are deviations from the orbit.
+
+    Raises
+    ------
+    NonUniqueOrbitError
+        Stiction holds the piston: small changes do not move it.
+    ValueError
+        Unknown inputs, or an orbit that repeats only after several periods.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> from ltvpneu import design
+    >>> model = design.duty_model(lp.load_machine("kunt_singh_1990"), 15.0, 0.5, inputs=["duty"])
+    >>> print(f"{1e3 * model.dcgain()[1, 0]:.0f} mm per unit of duty")
+    108 mm per unit of duty
+    """
+    if duty is not None:
+        machine = machine.with_duty(duty)
+    for name in inputs:
+        if name not in INPUTS:
+            raise ValueError(f"inputs: found {name!r}, expected some of {', '.join(INPUTS)}")
+    if not inputs:
+        raise ValueError(f"inputs: found none, expected some of {', '.join(INPUTS)}")
+    orbit = nonlinear_orbit(machine, frequency, method=DormandPrince(rtol=TOLERANCE))
+    if orbit.n_periods > 1:
+        raise ValueError(
+            f"frequency: found an orbit that repeats every {orbit.n_periods} periods at {frequency:g} Hz and duty "
+            f"{machine.duty:g}, about which there is no model of one period; choose another duty or frequency"
+        )
+    by_state, by_input = nonlinear_jacobians(machine, frequency, orbit, [INPUTS[name] for name in inputs])
+    n = len(machine.states)
+    pushes = np.zeros(n)
+    pushes[2:] = machine.arrays.chambers[:, 3]
+    C = np.array([np.eye(n)[0], by_state[3][0], pushes @ by_state[3]])
+    D = np.array([np.zeros(len(inputs)), by_input[3][0], pushes @ by_input[3]])
+    names = machine.states, tuple(inputs), ("position", "mean_position", "force")
+    name = f"{machine.identifier}_sampled"
+    return bridge.state_space((by_state[0], by_input[0], C, D), names, name, 1 / frequency)
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Measurement:
+    """What a controller sees at the start of a period."""
+
+    number: int
+    """Of the period, from 0."""
+    time: float
+    """[s]"""
+    reference: float
+    """Wanted mean position [m]."""
+    mean_position: float
+    """Over the last period [m]; at first, the position."""
+    state: FloatArray
+    """(n_states,), now."""
+
+
+Controller = Callable[[Measurement], float]
+"""From a measurement to the duty of the next period."""
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ClosedLoop:
+    """The nonlinear machine under a controller; one entry a period."""
+
+    machine: Machine
+    frequency: float
+    """[Hz]"""
+    references: FloatArray
+    """Wanted mean positions [m]."""
+    mean_positions: FloatArray
+    """[m]"""
+    commands: FloatArray
+    """Duties that the controller asked for."""
+    duties: FloatArray
+    """Duties that the valve made of them: late by the delay, within the shortest pulses."""
+    n_held_back: int
+    """Periods in which the valve could not make what was asked for."""
+    response: "control.TimeResponseData"
+    """States over time."""
+
+    def __repr__(self) -> str:
+        return f"<ClosedLoop of {self.machine.name}: {self.references.size} periods of {1 / self.frequency:.4g} s>"
+
+    def settling_periods(self, tolerance: float) -> list[int | None]:
+        """Return, for each stretch of constant reference, after how many periods the mean stays within a tolerance [m].
+
+        None where it does not come to stay.
+        """
+        positive("tolerance", tolerance, "m")
+        starts = [0, *(np.flatnonzero(np.diff(self.references)) + 1).tolist(), self.references.size]
+        found: list[int | None] = []
+        for start, end in pairwise(starts):
+            outside = np.flatnonzero(np.abs(self.mean_positions[start:end] - self.references[start:end]) > tolerance)
+            after = int(outside[-1]) + 1 if outside.size else 0
+            found.append(after if start + after < end else None)
+        return found
+
+
+@final
+class PositionController:
+    """Feed-forward from the duty map, and an integrator of the mean position that rests near its goal.
+
+    Parameters
+    ----------
+    duty_map : DutyMap
+    frequency : float
+        One of the map's [Hz].
+    gain : float
+        Share of the error in the mean that each period's correction makes up for [-].
+    zone : float
+        Error of the mean within which the integrator rests [m], so that stiction makes it no hunter.
+    most : float
+        Largest correction of the duty [-]; the integrator stops there, and does not wind up.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ltvpneu as lp
+    >>> from ltvpneu import design
+    >>> machine = lp.load_machine("kunt_singh_1990")
+    >>> duties = design.duty_map(machine, np.linspace(0.3, 0.6, 7), [15.0])
+    >>> controller = design.PositionController(duties, 15.0)
+    >>> done = design.simulate_closed_loop(machine, controller, [0.045] * 40, 15.0)
+    >>> bool(abs(done.mean_positions[-1] - 0.045) < 0.5e-3)
+    True
+    """
+
+    def __init__(
+        self, duty_map: DutyMap, frequency: float, *, gain: float = 0.2, zone: float = 0.3e-3, most: float = 0.3
+    ) -> None:
+        self.duty_map, self.frequency = duty_map, frequency
+        self.gain, self.zone = positive("gain", gain), not_negative("zone", zone, "m")
+        self.most = not_negative("most", most)
+        row = duty_map.row(frequency)
+        means = duty_map.means[row]
+        known = np.isfinite(means)
+        if known.sum() < 2:
+            raise ValueError(f"duty_map: found {known.sum()} points at {frequency:g} Hz, expected two or more")
+        self._slope = float(np.ptp(means[known]) / np.ptp(duty_map.orbits.duties[known]))
+        self.correction = 0.0
+
+    def __call__(self, measured: Measurement) -> float:
+        """Return the duty of the next period."""
+        if measured.number == 0:
+            self.correction = 0.0
+        error = measured.reference - measured.mean_position
+        if abs(error) > self.zone and measured.number > 0:
+            moved = self.correction + self.gain * error / self._slope
+            self.correction = float(np.clip(moved, -self.most, self.most))
+        return self.duty_map.duty_for(measured.reference, self.frequency) + self.correction
+
+
+def simulate_closed_loop(
+    machine: Machine,
+    controller: "Controller | control.StateSpace",
+    reference: float | Sequence[float] | FloatArray,
+    frequency: float,
+    *,
+    valve: "ValveLimits | None" = None,
+    initial_state: Sequence[float] | FloatArray | None = None,
+) -> ClosedLoop:
+    """Simulate the nonlinear machine, every switch hit, under a controller that sets the duty each period.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its own duty is that of the periods before the controller's first command arrives.
+    controller : callable or control.StateSpace
+        From a `Measurement` to a duty; or a discrete-time system of one input, the error of the mean position [m], and
+        one output, which is added to the machine's duty. Its dt must be the period.
+    reference : array_like, shape (n_periods,)
+        Wanted mean position of each period [m].
+    frequency : float
+        [Hz]
+    valve : ValveLimits, optional
+        Shortest on- and off-times, and periods that a command is late.
+    initial_state : array_like, shape (n_states,), optional
+        At rest with the mean quasi-static pressures by default.
+
+    Raises
+    ------
+    ValueError
+        A command that is not a finite number, a controller of another dt, arguments out of range.
+    """
+    period = 1 / positive("frequency", frequency, "Hz")
+    wanted = finite_array("reference", np.atleast_1d(np.asarray(reference, dtype=np.float64)), (None,))
+    if wanted.size == 0:
+        raise ValueError("reference: found none, expected one for each period")
+    valve = ValveLimits() if valve is None else valve
+    least, most = valve.duties(frequency)
+    law = controller if callable(controller) and not _is_system(controller) else _law(controller, machine.duty, period)
+    settings = integration_settings(machine, SIMULATION_TOLERANCE)
+    given = machine.rest_state if initial_state is None else initial_state
+    state = finite_array("initial_state", given, (len(machine.states),)).copy()
+    n, mean = wanted.size, float(state[0])
+    means, commands, duties = np.empty(n), np.empty(n), np.empty(n)
+    times, states, n_held = [], [], 0
+    for number in range(n):
+        now = state.copy()
+        measured = Measurement(
+            number=number, time=number * period, reference=float(wanted[number]), mean_position=mean,
+            state=read_only(now),
+        )  # fmt: skip
+        commands[number] = finite(f"controller: at {number * period:g} s", float(cast(Controller, law)(measured)))
+        late = number - valve.delay
+        asked = float(commands[late]) if late >= 0 else machine.duty
+        duties[number] = min(max(asked, least), most)
+        n_held += duties[number] != asked
+        present = machine.with_duty(float(duties[number]))
+        schedule = schedule_of(present, period)
+        outcome = integrate_period(state, Run(schedule, present.arrays, settings), True)
+        if outcome.status != OK:
+            raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
+        trajectory = trajectory_of(outcome.record)
+        mean = means[number] = float(trajectory.means()[0])
+        local = np.union1d(np.linspace(0.0, period, POINTS_PER_PERIOD + 1), schedule.times)[:-1]
+        times.append(number * period + local)
+        states.append(trajectory.at(local).T)
+        state = outcome.state
+    times.append(np.array([n * period]))
+    states.append(state[None])
+    values = np.concatenate(states).T
+    names = (machine.states, values)
+    return ClosedLoop(
+        machine=machine,
+        frequency=float(frequency),
+        references=wanted,
+        mean_positions=read_only(means),
+        commands=read_only(commands),
+        duties=read_only(duties),
+        n_held_back=int(n_held),
+        response=bridge.time_response(np.concatenate(times), names, names, machine.name),
+    )
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ValveLimits:
+    """What the valve can make of a command."""
+
+    shortest_on: float = 0.0
+    """[s]"""
+    shortest_off: float = 0.0
+    """[s]"""
+    delay: int = 0
+    """Whole periods between a measurement and the period whose duty it sets."""
+
+    def __post_init__(self) -> None:
+        not_negative("shortest_on", self.shortest_on, "s")
+        not_negative("shortest_off", self.shortest_off, "s")
+        whole("delay", self.delay, 0)
+
+    def duties(self, frequency: float) -> tuple[float, float]:
+        """Return the least and the greatest duty at a frequency."""
+        least, most = self.shortest_on * frequency, 1 - self.shortest_off * frequency
+        if least > most:
+            raise ValueError(
+                f"valve: found shortest times of {self.shortest_on:g} s on and {self.shortest_off:g} s off, more than "
+                f"a period of {1 / frequency:g} s; choose a lower frequency"
+            )
+        return least, most
+
+
+def _is_system(controller: object) -> bool:
+    return hasattr(controller, "A") and hasattr(controller, "dt")
+
+
+def _law(system: Any, duty: float, period: float) -> Controller:
+    if not _is_system(system):
+        raise TypeError(
+            f"controller: found {type(system).__name__}, expected a function of a Measurement, or a control.StateSpace"
+        )
+    if system.dt is True or not np.isclose(float(system.dt), period, rtol=1e-9):
+        raise ValueError(f"controller: found dt = {system.dt}, expected the period, {period:g} s")
+    A, B, C, D = (np.asarray(matrix, dtype=np.float64) for matrix in (system.A, system.B, system.C, system.D))
+    if D.shape != (1, 1):
+        raise ValueError(f"controller: found {D.shape[1]} inputs and {D.shape[0]} outputs, expected one of each")
+    state = np.zeros(len(A))
+
+    def law(measured: Measurement) -> float:
+        nonlocal state
+        error = measured.reference - measured.mean_position
+        command = float((C @ state)[0] + D[0, 0] * error) if state.size else float(D[0, 0] * error)
+        state = A @ state + B[:, 0] * error
+        return duty + command
+
+    return law

@@ -1,0 +1,68 @@
+"""Pictures of what `ltvpneu.design` returns; loaded only for these."""
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from ltvpneu.design.duty_map import DutyMap
+from ltvpneu.design.feedback import ClosedLoop
+
+PALETTE = mpl.color_sequences["petroff10"]
+MARKERS = "osD^vP*X"
+
+
+def draw_design(result: object) -> Figure | None:
+    """Draw a result of the design layer; None for one that has no picture."""
+    if isinstance(result, DutyMap):
+        return draw_duty_map(result)
+    if isinstance(result, ClosedLoop):
+        return draw_closed_loop(result)
+    return None
+
+
+def draw_duty_map(found: DutyMap) -> Figure:
+    """Mean position and amplitude over duty, one line a frequency; hollow where stiction holds the piston."""
+    figure = Figure(figsize=(7, 5.5), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    orbits = found.orbits
+    for row, frequency in enumerate(orbits.frequencies):
+        style = {"color": PALETTE[row % len(PALETTE)], "marker": MARKERS[row % len(MARKERS)], "markersize": 4}
+        upper.plot(orbits.duties, 1e3 * found.means[row], label=f"{frequency:g} Hz", **style)
+        lower.plot(orbits.duties, 1e3 * found.amplitudes[row], **style)
+        held = np.array([kind == "band" for kind in orbits.kinds[row]])
+        upper.plot(
+            orbits.duties[held], 1e3 * found.means[row][held], linestyle="none", marker="o", markersize=8,
+            markerfacecolor="none", color=style["color"],
+        )  # fmt: skip
+    if any("band" in row for row in orbits.kinds):
+        upper.plot([], [], linestyle="none", marker="o", markersize=8, markerfacecolor="none", color="0.3",
+                   label="held by stiction")  # fmt: skip
+    upper.set_ylabel("mean position [mm]")
+    lower.set_ylabel("amplitude [mm]")
+    lower.set_xlabel("duty [-]")
+    upper.set_title(f"{orbits.machine.name}: duty map", fontsize=11)
+    upper.legend(fontsize=8)
+    for axes in (upper, lower):
+        axes.grid(alpha=0.3)
+    return figure
+
+
+def draw_closed_loop(done: ClosedLoop) -> Figure:
+    """Position, its mean over each period and the reference; below, the duty."""
+    figure = Figure(figsize=(7, 5.5), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+    period = 1 / done.frequency
+    edges = period * np.arange(done.references.size + 1)
+    upper.plot(done.response.time, 1e3 * done.response.states[0], color="0.7", linewidth=0.8, label="position")
+    upper.stairs(1e3 * done.mean_positions, edges, baseline=None, color=PALETTE[0], label="mean over the period")
+    upper.stairs(1e3 * done.references, edges, baseline=None, color=PALETTE[1], linestyle="--", label="reference")
+    lower.stairs(done.commands, edges, baseline=None, color=PALETTE[1], linestyle=":", label="asked for")
+    lower.stairs(done.duties, edges, baseline=None, color=PALETTE[0], label="made by the valve")
+    upper.set_ylabel("position [mm]")
+    lower.set_ylabel("duty [-]")
+    lower.set_xlabel("time [s]")
+    upper.set_title(f"{done.machine.name}: closed loop at {done.frequency:g} Hz", fontsize=11)
+    for axes in (upper, lower):
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    return figure
