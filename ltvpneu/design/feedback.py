@@ -174,6 +174,9 @@ class PositionController:
         Share of the error in the mean that each period's correction makes up for [-].
     zone : float
         Error of the mean within which the integrator rests [m], so that stiction makes it no hunter.
+    wait : int
+        Periods after a change of the reference in which the integrator rests, while the feed-forward takes the piston
+        there; else it would integrate the way, and overshoot.
     most : float
         Largest correction of the duty [-]; the integrator stops there, and does not wind up.
 
@@ -191,11 +194,12 @@ class PositionController:
     """
 
     def __init__(
-        self, duty_map: DutyMap, frequency: float, *, gain: float = 0.2, zone: float = 0.3e-3, most: float = 0.3
-    ) -> None:
+        self, duty_map: DutyMap, frequency: float, *, gain: float = 0.2, zone: float = 0.3e-3, wait: int = 8,
+        most: float = 0.3,
+    ) -> None:  # fmt: skip
         self.duty_map, self.frequency = duty_map, frequency
         self.gain, self.zone = positive("gain", gain), not_negative("zone", zone, "m")
-        self.most = not_negative("most", most)
+        self.wait, self.most = whole("wait", wait, 0), not_negative("most", most)
         row = duty_map.row(frequency)
         means = duty_map.means[row]
         known = np.isfinite(means)
@@ -203,13 +207,16 @@ class PositionController:
             raise ValueError(f"duty_map: found {known.sum()} points at {frequency:g} Hz, expected two or more")
         self._slope = float(np.ptp(means[known]) / np.ptp(duty_map.orbits.duties[known]))
         self.correction = 0.0
+        self._reference, self._changed = np.nan, 0
 
     def __call__(self, measured: Measurement) -> float:
         """Return the duty of the next period."""
         if measured.number == 0:
             self.correction = 0.0
+        if measured.number == 0 or measured.reference != self._reference:
+            self._reference, self._changed = measured.reference, measured.number
         error = measured.reference - measured.mean_position
-        if abs(error) > self.zone and measured.number > 0:
+        if abs(error) > self.zone and measured.number - self._changed > self.wait:
             moved = self.correction + self.gain * error / self._slope
             self.correction = float(np.clip(moved, -self.most, self.most))
         return self.duty_map.duty_for(measured.reference, self.frequency) + self.correction

@@ -54,8 +54,11 @@ def draw_closed_loop(done: ClosedLoop) -> Figure:
     period = 1 / done.frequency
     edges = period * np.arange(done.references.size + 1)
     upper.plot(done.response.time, 1e3 * done.response.states[0], color="0.7", linewidth=0.8, label="position")
-    upper.stairs(1e3 * done.mean_positions, edges, baseline=None, color=PALETTE[0], label="mean over the period")
-    upper.stairs(1e3 * done.references, edges, baseline=None, color=PALETTE[1], linestyle="--", label="reference")
+    upper.stairs(1e3 * done.mean_positions, edges, baseline=None, color=PALETTE[0], linewidth=1.6, zorder=3,
+                 label="mean over the period")  # fmt: skip
+    upper.stairs(
+        1e3 * done.references, edges, baseline=None, color=PALETTE[1], linestyle="--", zorder=4, label="reference"
+    )
     lower.stairs(done.commands, edges, baseline=None, color=PALETTE[1], linestyle=":", label="asked for")
     lower.stairs(done.duties, edges, baseline=None, color=PALETTE[0], label="made by the valve")
     upper.set_ylabel("position [mm]")

@@ -103,8 +103,8 @@ def _draw_by_itself(result: object) -> Figure:
     if not type(result).__module__.startswith("control") or method is None:
         raise TypeError(
             f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, "
-            "OrbitFloquet, Orbit, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, DutyMap, ClosedLoop, a "
-            "dict of Orbit or of Floquet, or a response of python-control"
+            "OrbitFloquet, Orbit, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, DutyMap, ClosedLoop, "
+            "a dict of Orbit or of Floquet, or a response of python-control"
         )
     import matplotlib.pyplot as plt
 
