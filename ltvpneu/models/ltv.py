@@ -111,7 +111,9 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
             return own_cycle_model(question, whole("n_steps", 2 if n_steps is None else n_steps), spacing)
         if n_steps is not None:
             raise ValueError(f"n_steps, rtol: found {n_steps} and {rtol:g}, expected one of them")
-        return model_to_tolerance(question, positive("rtol", rtol), spacing)
+        if positive("rtol", rtol) >= 1:
+            raise ValueError(f"rtol: found {rtol:g}, expected a relative error below 1, such as 0.01")
+        return model_to_tolerance(question, rtol, spacing)
     if rtol is not None:
         raise ValueError(
             f"rtol: found {rtol:g} with operating points {operating_points!r}, whose error more steps do not mend; "

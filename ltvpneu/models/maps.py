@@ -163,7 +163,7 @@ def validity_map(
             model = ltv_model(present, frequency, n_steps=n_steps, operating_points=operating_points)
             amplitudes[row, column] = model.orbit.amplitude("position")
             errors[row, column] = model.error_estimate.relative_amplitude("position")
-        except LtvpneuError as error:
+        except (LtvpneuError, ValueError) as error:
             failures.append(FailedPoint(model="ltv", frequency=frequency, error=error))
         if progress is not None:
             progress(1)

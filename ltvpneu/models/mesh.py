@@ -36,7 +36,11 @@ def cuts_by_error(boundaries: FloatArray, starts: FloatArray, errors: FloatArray
     for _ in range(n_cells - (boundaries.size - 1)):
         counts[np.argmax(weights / counts**3)] += 1
     cuts = [start + width * np.arange(1, int(n)) / n for start, width, n in zip(starts, widths, counts, strict=False)]
-    return np.sort(np.concatenate([boundaries, *cuts]))
+    found = np.sort(np.concatenate([boundaries, *cuts]))
+    # The same instant twice, but for rounding, is no cell.
+    found = found[np.insert(np.diff(found) > 1e-12, 0, True)]
+    found[-1] = 1.0
+    return found
 
 
 def even_cuts(boundaries: FloatArray, n_cells: int) -> FloatArray:

@@ -124,7 +124,10 @@ def model_to_tolerance(question: Question, rtol: float, spacing: Spacing) -> Ltv
         model = as_model(found)
         estimate = model.error_estimate
         # Of a piston at rest, the error is that of its pressures.
-        errors = [abs(estimate.relative_amplitude(i)) for i in (0, 2) if model.orbit.amplitude(i) > 0]
+        scales = question.machine.state_scales
+        errors = [
+            abs(estimate.relative_amplitude(i)) for i in (0, 2) if model.orbit.amplitude(i) > LEAST_TRAVEL * scales[i]
+        ]
         if estimate.is_reliable and (not errors or errors[0] <= rtol):
             return model
         if n_steps >= MOST_STEPS:
@@ -288,6 +291,11 @@ def as_model(found: Found) -> LtvModel:
 
 def _creeps(machine: Machine, states: FloatArray, modes: IntArray) -> bool:
     """Whether the piston rests but for moves too small to matter, on its way to the edge of a stiction band."""
+    cylinder, position = machine.cylinder, float(states[0, 0])
+    reach = LEAST_TRAVEL * machine.state_scales[0]
+    if not cylinder.lower_stop + reach < position < cylinder.upper_stop - reach:
+        # Against a stop it has nowhere to go.
+        return False
     return bool((modes == STUCK).any()) and float(np.ptp(states[:, 0])) < LEAST_TRAVEL * machine.state_scales[0]
 
 

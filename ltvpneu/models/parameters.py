@@ -129,6 +129,7 @@ def parameter_sensitivity(model: LtvModel, parameters: Sequence[str] = PARAMETER
     >>> print(f"{1e6 * found.mean('position', 'load.spring_stiffness'):.0f} um m/N")
     -25 um m/N
     """
+    _expect_names(parameters)
     found = model.found
     if not isinstance(found, Found):
         raise ValueError(
@@ -179,6 +180,7 @@ def nonlinear_sensitivity(
 
 def nonlinear_jacobians(machine: Machine, frequency: float, orbit: Orbit, parameters: Sequence[str]) -> Jacobians:
     """Return how one turn of the nonlinear machine's orbit depends on its start and on parameters."""
+    _expect_names(parameters)
     _expect_unique(orbit)
 
     def period(start: FloatArray, machine: Machine, frequency: float) -> tuple[FloatArray, Trajectory]:
@@ -193,6 +195,15 @@ def nonlinear_jacobians(machine: Machine, frequency: float, orbit: Orbit, parame
         return state, trajectory_of(joined(records, 1 / frequency))
 
     return _jacobians(period, (machine, float(frequency), orbit.initial_state.copy()), parameters)
+
+
+def _expect_names(parameters: Sequence[str]) -> None:
+    if isinstance(parameters, str):
+        raise TypeError(f"parameters: found {parameters!r}, expected a list of names, such as [{parameters!r}]")
+    names: list[Any] = list(parameters)
+    for name in names:
+        if not isinstance(name, str):
+            raise TypeError(f"parameters: found {name!r} of type {type(name).__name__}, expected names")
 
 
 def _expect_unique(orbit: Orbit) -> None:

@@ -14,6 +14,9 @@ from ltvpneu.physics.friction import holding_force
 MAX_SUBHARMONIC = 64
 """Longest orbit looked for, in valve periods."""
 
+ROUNDING = 1e-13
+"""Scaled change over a period that is none: where it is all that is left, it no longer falls [-]."""
+
 
 class Settled(NamedTuple):
     """Where `settle` got to."""
@@ -50,6 +53,8 @@ def is_settled(k: int, done: int, changes: FloatArray, drift: float, tolerance: 
             return False
     if done <= k:
         return change <= 1e-4 * tolerance
+    if change <= ROUNDING:
+        return True
     before = changes[(done - k) % ring, k]
     contraction = min(change / before, 1.0) if before > 0.0 else 0.0
     if change <= tolerance * (1.0 - contraction):

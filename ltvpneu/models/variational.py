@@ -154,8 +154,7 @@ class _Factors:
             if interval > 0 and step[interval] != step[interval - 1]:
                 found += self._saltation(interval, self.modes[step[interval - 1]], mode)
             found += list(self._smooth(interval, mode))
-        if self.modes[-1] != self.modes[0]:
-            found += self._saltation(0, self.modes[-1], self.modes[0])
+        found += self._saltation(0, self.modes[-1], self.modes[0])
         return found
 
     def _state(self, interval: int, time: float) -> FloatArray:
@@ -191,11 +190,11 @@ class _Factors:
 
     def _saltation(self, interval: int, before: int, after: int) -> list[FloatArray]:
         """Return the jump of a disturbance at the start of an interval, if there is one."""
-        if before == after:
-            return []
         last = interval - 1 if interval > 0 else self.trajectory.starts.size - 1
         arriving = self._state(last, float(self.trajectory.spans[last]))
         leaving = self.trajectory.coefficients[interval, 0]
+        if before == after and abs(arriving[1] - leaving[1]) <= 1e-6 * self.scales[1]:
+            return []
         areas = self._areas(float(self.trajectory.starts[last] + self.trajectory.spans[last]) * (1 - 1e-12))
         rate_before, rate_after = self._rate(arriving, areas, before), self._rate(leaving, areas, after)
         load, n = self.machine.arrays.load, self.n

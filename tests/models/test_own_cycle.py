@@ -263,3 +263,72 @@ def test_sensitivities_that_do_not_exist_say_why(table_1):
         lp.nonlinear_sensitivity(table_1, 4.0, ["load.weight"])
     with pytest.raises(lp.NonUniqueOrbitError, match="stiction band"):
         lp.nonlinear_sensitivity(table_1.with_duty(0.7), 20.0)
+
+
+def with_load(machine, force):
+    return replace(machine, load=replace(machine.load, force=force))
+
+
+def test_a_leap_to_an_unstable_cycle_is_taken_back(table_1):
+    machine = with_load(table_1, -100.0).with_duty(0.8)
+    model = lp.ltv_model(machine, 15.0, operating_points="self-consistent", n_steps=64)
+    exact = lp.nonlinear_orbit(machine, 15.0)
+    assert model.orbit.n_periods == exact.n_periods == 2
+    assert model.orbit.amplitude("position") == pytest.approx(exact.amplitude("position"), rel=0.01)
+
+
+def test_a_leap_does_not_decide_where_the_piston_rests(table_1):
+    machine = table_1.with_supply_pressure(6e5).with_duty(0.8)
+    model = lp.ltv_model(machine, 15.0, operating_points="self-consistent", n_steps=64)
+    exact = lp.nonlinear_orbit(machine, 15.0).mean("position")
+    assert model.orbit.mean("position") == pytest.approx(exact, abs=2e-5)
+
+
+@pytest.mark.parametrize("duty", [0.1, 0.3, 0.5, 0.7, 0.9])
+@pytest.mark.parametrize("frequency", [5.0, 20.0, 40.0])
+def test_the_double_acting_drive_has_a_cycle_at_every_duty(duty, frequency):
+    machine = lp.load_machine("double_acting_5_2").with_duty(duty)
+    model = lp.ltv_model(machine, frequency, operating_points="fitted", n_steps=8)
+    assert model.orbit.minimum("position") >= machine.cylinder.lower_stop - 1e-9
+    assert model.orbit.maximum("position") <= machine.cylinder.upper_stop + 1e-9
+
+
+def test_a_piston_pressed_on_a_stop_is_where_it_is():
+    machine = with_load(lp.load_machine("double_acting_5_2"), -1000.0)
+    assert lp.ltv_model(machine, 4.0, operating_points="fitted").orbit.is_unique
+    assert lp.nonlinear_orbit(machine, 4.0).is_unique
+
+
+def test_multipliers_of_an_orbit_that_hits_its_stops_without_dry_friction():
+    machine = lp.load_machine("double_acting_5_2").without_dry_friction().with_duty(0.8)
+    orbit = lp.nonlinear_orbit(machine, 40.0, method=lp.DormandPrince(rtol=1e-10))
+    found = lp.orbit_floquet(machine, orbit)
+    scales = machine.state_scales
+    differences = np.empty((4, 4))
+    for j in range(4):
+        ends = []
+        for side in (1, -1):
+            start = orbit.initial_state.copy()
+            start[j] += side * 1e-5 * scales[j]
+            done = lp.simulate(machine, 40.0, orbit.n_periods, start, method=lp.DormandPrince(rtol=1e-10))
+            ends.append(done.states[:, -1])
+        differences[:, j] = (ends[0] - ends[1]) / (2e-5 * scales[j])
+    radius = np.abs(np.linalg.eigvals(differences * scales / scales[:, None])).max()
+    assert found.spectral_radius == pytest.approx(radius, rel=1e-3)
+    assert radius > 0.5
+
+
+def test_a_machine_at_rest_meets_any_tolerance(table_1):
+    model = lp.ltv_model(table_1.with_supply_pressure(1.0e5), 4.0, rtol=0.01)
+    assert model.orbit.amplitude("position") == 0
+
+
+def test_wrong_names_and_tolerances_are_named(table_1):
+    model = lp.ltv_model(table_1, 8.0, operating_points="fitted")
+    with pytest.raises(TypeError, match=r"found 'duty', expected a list of names, such as \['duty'\]"):
+        lp.parameter_sensitivity(model, "duty")
+    with pytest.raises(TypeError, match="found 3 of type int"):
+        lp.parameter_sensitivity(model, [3])
+    with pytest.raises(ValueError, match="rtol: found 2, expected a relative error below 1"):
+        lp.ltv_model(table_1, 8.0, rtol=2.0)
+    assert len(lp.validity_map(with_load(table_1, -100.0), [0.2], [1.0], operating_points="lti").failures) == 1
