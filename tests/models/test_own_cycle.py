@@ -301,7 +301,7 @@ def test_a_piston_pressed_on_a_stop_is_where_it_is():
 
 def test_multipliers_of_an_orbit_that_hits_its_stops_without_dry_friction():
     machine = lp.load_machine("double_acting_5_2").without_dry_friction().with_duty(0.8)
-    orbit = lp.nonlinear_orbit(machine, 40.0, method=lp.DormandPrince(rtol=1e-10))
+    orbit = lp.nonlinear_orbit(machine, 40.0, method=lp.DormandPrince(rtol=1e-11))
     found = lp.orbit_floquet(machine, orbit)
     scales = machine.state_scales
     differences = np.empty((4, 4))
@@ -309,10 +309,10 @@ def test_multipliers_of_an_orbit_that_hits_its_stops_without_dry_friction():
         ends = []
         for side in (1, -1):
             start = orbit.initial_state.copy()
-            start[j] += side * 1e-5 * scales[j]
-            done = lp.simulate(machine, 40.0, orbit.n_periods, start, method=lp.DormandPrince(rtol=1e-10))
+            start[j] += side * 1e-6 * scales[j]
+            done = lp.simulate(machine, 40.0, orbit.n_periods, start, method=lp.DormandPrince(rtol=1e-11))
             ends.append(done.states[:, -1])
-        differences[:, j] = (ends[0] - ends[1]) / (2e-5 * scales[j])
+        differences[:, j] = (ends[0] - ends[1]) / (2e-6 * scales[j])
     radius = np.abs(np.linalg.eigvals(differences * scales / scales[:, None])).max()
     assert found.spectral_radius == pytest.approx(radius, rel=1e-3)
     assert radius > 0.5
