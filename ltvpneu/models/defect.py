@@ -19,8 +19,11 @@ from ltvpneu.models.dynamics import STUCK
 from ltvpneu.models.events import after_event, margin_at, mode_of
 from ltvpneu.models.machine import MachineArrays
 from ltvpneu.models.step_models import DECAY_AT_REST, Tangent, augmented, tangent_at
-from ltvpneu.periodic.small import advanced, apply, exponential
+from ltvpneu.periodic.small import apply, exponential
 from ltvpneu.physics.friction import holding_force
+
+PARTS_PER_SWING, MOST_PARTS = 2.0, 256
+"""Parts of a step per radian of the piston's own oscillation that are searched for events, and how many at most."""
 
 
 class Given(NamedTuple):
@@ -58,7 +61,14 @@ def _first_event(
 ) -> tuple[float, int]:
     """Return when within a linear step the first event happens, and its kind; -1 for none."""
     n, machine = given.scales.size, given.machine
-    z = np.empty(n)
+    z, middle = np.empty(n), np.empty(n + 1)
+    map_, mean = np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
+    # Fine enough that the piston cannot turn and turn back unseen.
+    swing = math.sqrt(abs(matrix[0, 1] * matrix[1, 0])) * duration
+    parts = 1 if mode == STUCK else 1 + min(int(PARTS_PER_SWING * swing), MOST_PARTS)
+    share = np.empty((n + 1, n + 1))
+    if parts > 1:
+        exponential(matrix, duration / parts, share, mean)
     first, found = duration, -1
     for kind in range(4):
         if (kind == 3) != (mode == STUCK):
@@ -67,21 +77,33 @@ def _first_event(
             continue
         if (kind == 1 and math.isinf(machine.load.lower_stop)) or (kind == 2 and math.isinf(machine.load.upper_stop)):
             continue
-        for i in range(n):
-            z[i] = end[i] * given.scales[i]
-        high_margin = margin_at(z, kind, mode, machine)
-        if high_margin >= 0.0:
-            continue
-        low, high = 0.0, duration
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            state = advanced(matrix, start, middle)
-            for i in range(n):
-                z[i] = state[i] * given.scales[i]
-            if margin_at(z, kind, mode, machine) < 0.0:
-                high = middle
+        low, state, crossed = 0.0, start.copy(), False
+        for part in range(parts):
+            if part < parts - 1:
+                apply(share, state, middle)
             else:
-                low = middle
+                middle[:] = end
+            for i in range(n):
+                z[i] = middle[i] * given.scales[i]
+            if margin_at(z, kind, mode, machine) < 0.0:
+                crossed = True
+                break
+            state[:] = middle
+            low += duration / parts
+        if not crossed:
+            continue
+        # Halved by exponentials, not by series: near a source's pressure a cell may be long for its fastest rate.
+        half = 0.5 * duration / parts
+        for _ in range(40):
+            exponential(matrix, half, map_, mean)
+            apply(map_, state, middle)
+            for i in range(n):
+                z[i] = middle[i] * given.scales[i]
+            if margin_at(z, kind, mode, machine) >= 0.0:
+                low += half
+                state[:] = middle
+            half *= 0.5
+        high = low + 2.0 * half
         if high < first or found < 0:
             first, found = high, kind
     return first, found

@@ -318,6 +318,14 @@ def test_multipliers_of_an_orbit_that_hits_its_stops_without_dry_friction():
     assert radius > 0.5
 
 
+def test_the_estimate_does_not_miss_a_piston_that_turns_and_turns_back(table_1):
+    """At 0.3 Hz a cell of the estimate lasts longer than the piston's way there and back."""
+    machine = table_1.with_supply_pressure(6e5).with_duty(0.2)
+    model = lp.ltv_model(machine, 0.3, operating_points="fitted", n_steps=64)
+    true = model.orbit.mean("position") - lp.nonlinear_orbit(machine, 0.3).mean("position")
+    assert model.error_estimate.mean("position") == pytest.approx(true, abs=1e-4)
+
+
 def test_a_machine_at_rest_meets_any_tolerance(table_1):
     model = lp.ltv_model(table_1.with_supply_pressure(1.0e5), 4.0, rtol=0.01)
     assert model.orbit.amplitude("position") == 0
