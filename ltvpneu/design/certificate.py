@@ -53,13 +53,11 @@ class Certificate:
     kind: str
     """"common" (any switching), "dwell time" (switching that stays long enough), or "none"."""
     decay_rate: float
-    """Rate alpha that the functions themselves show [1/s]; nan if there is none."""
+    """Rate alpha that the functions themselves show, less what rounding may do [1/s]: above zero; nan if none."""
     dwell_time: float
     """Least time between switches [s]: 0 for a common function, nan if there is none."""
     functions: FloatArray
     """P of the common function, (1, n, n), or of each matrix, (n_matrices, n, n), in the states' units."""
-    margin: float
-    """Distance of the worst rate from zero beyond what rounding may do [1/s]; above zero wherever there is a proof."""
     upper_bound: float
     """No certificate can show a rate above this: the slowest single matrix's own [1/s]."""
     matrices: FloatArray
@@ -120,7 +118,6 @@ def common_lyapunov(systems: Systems) -> Certificate:
             decay_rate=rate * speed,
             dwell_time=dwell / speed,
             functions=read_only(functions / scales / scales[:, None]),
-            margin=rate * speed,
             upper_bound=upper * speed,
             matrices=matrices,
         )

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, cast, final
 
 import cvxpy as cp
 import numpy as np
@@ -79,7 +79,7 @@ def solve_convex(
                 f"the solver ended with status {status!r}, but its answer breaks {name} by {broken:.1e}", status=status
             )
     duals = {name: constraint.dual_value for name, constraint in constraints.items()}
-    return Solution(status="optimal", value=float(problem.value), duals=duals)  # type: ignore[arg-type]
+    return Solution(status="optimal", value=float(cast(float, problem.value)), duals=duals)
 
 
 def _why_not_convex(problem: cp.Problem, objective: Any, constraints: dict[str, cp.Constraint]) -> str:

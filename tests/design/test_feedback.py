@@ -66,7 +66,7 @@ def test_the_sampled_model_serves_python_controls_design(machine):
 def test_a_locked_piston_has_no_small_signal_model(machine):
     with pytest.raises(lp.NonUniqueOrbitError, match="stiction"):
         design.duty_model(machine, 20.0, 0.7)
-    with pytest.raises(ValueError, match="repeats every 2 periods|repeats every"):
+    with pytest.raises(ValueError, match="an orbit that repeats every"):
         design.duty_model(machine, 5.4, 0.86)
 
 
