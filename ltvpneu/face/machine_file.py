@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 from ltvpneu.errors import MachineFileError
 from ltvpneu.face.units import Dimension, parse
@@ -13,7 +13,7 @@ from ltvpneu.models.machine import FlowPath, Machine
 from ltvpneu.physics.cylinder import Cylinder
 from ltvpneu.physics.gas import Gas
 from ltvpneu.physics.load import Load
-from ltvpneu.physics.valve import OnOffValve, Port, RotaryValve, Window
+from ltvpneu.physics.valve import OnOffValve, Port, Pulses, RotaryValve, Window, check_pulses
 
 Kind = Dimension | type
 T = TypeVar("T")
@@ -30,6 +30,7 @@ _MACHINE = {
     "name": Key(str, True), "source": Key(str), "supply_pressure": Key("pressure", True),
     "exhaust_pressure": Key("pressure", True), "collapse": Key(str), "gas": Key(dict), "cylinder": Key(dict, True),
     "load": Key(dict, True), "valve": Key(dict, True), "flow_paths": Key(list),
+    "more_valves": Key(list),
 }  # fmt: skip
 _GAS = {
     "heat_capacity_ratio": Key("number"), "specific_gas_constant": Key("gas constant"),
@@ -48,9 +49,12 @@ _ROTARY = {
     "type": Key(str, True),
     "offset_angle": Key("angle"),
     "duty": Key("number"),
+    "pulses": Key(list),
     "ports": Key(list, True),
 }
-_ON_OFF = {"type": Key(str, True), "duty": Key("number"), "ramp": Key("angle")}
+_ON_OFF = {
+    "type": Key(str, True), "duty": Key("number"), "ramp": Key("angle"), "start": Key("angle"), "pulses": Key(list),
+}  # fmt: skip
 _PORT = {
     "way": Key(str, True), "area": Key("area", True), "discharge_coefficient": Key("number", True),
     "opens_at": Key("angle", True), "open_for": Key("angle", True), "ramp": Key("angle"), "volume": Key(str),
@@ -59,7 +63,7 @@ _PORT = {
 _FLOW_PATH = {
     "source": Key(str, True), "chamber": Key(str, True), "area": Key("area", True),
     "discharge_coefficient": Key("number"), "opening": Key(str), "opens_at": Key("angle"), "open_for": Key("angle"),
-    "ramp": Key("angle"),
+    "ramp": Key("angle"), "valve": Key(int),
 }  # fmt: skip
 
 
@@ -119,10 +123,19 @@ def parse_machine(text: str, file: str) -> Machine:
     cylinder = _build(Cylinder, {"dead_volume_1": None, **found}, file, "cylinder")
     load = _build(Load, _table(top.pop("load"), _LOAD, file, "load"), file, "load")
     valve = _valve(top.pop("valve"), file)
+    more = tuple(_on_off(entry, file, f"more_valves[{i}]") for i, entry in enumerate(top.pop("more_valves", [])))
     paths = tuple(_flow_path(entry, file, f"flow_paths[{i}]") for i, entry in enumerate(top.pop("flow_paths", [])))
     return _build(
         Machine,
-        {**top, "gas": gas, "cylinder": cylinder, "load": load, "valve": valve, "flow_paths": paths},
+        {
+            **top,
+            "gas": gas,
+            "cylinder": cylinder,
+            "load": load,
+            "valve": valve,
+            "more_valves": more,
+            "flow_paths": paths,
+        },
         file,
         "",
     )
@@ -131,15 +144,38 @@ def parse_machine(text: str, file: str) -> Machine:
 def _valve(data: dict[str, Any], file: str) -> RotaryValve | OnOffValve:
     kind = data.get("type")
     if kind == "on_off":
-        found = _table(data, _ON_OFF, file, "valve")
-        del found["type"]
-        return _build(OnOffValve, found, file, "valve")
+        return _on_off(data, file, "valve")
     if kind != "rotary":
         raise MachineFileError(f'{file}: valve.type: found {kind!r}, expected "rotary" or "on_off"')
     found = _table(data, _ROTARY, file, "valve")
     del found["type"]
     found["ports"] = tuple(_port(entry, file, f"valve.ports[{i}]") for i, entry in enumerate(found["ports"]))
+    if "pulses" in found:
+        found["pulses"] = _pulses(found["pulses"], 0.0, file, "valve")
     return _build(RotaryValve, found, file, "valve")
+
+
+def _on_off(data: object, file: str, where: str) -> OnOffValve:
+    found = _table(data, _ON_OFF, file, where)
+    kind = found.pop("type")
+    if kind != "on_off":
+        raise MachineFileError(f'{file}: {where}.type: found {kind!r}, expected "on_off"')
+    if "pulses" in found:
+        for key in ("duty", "start"):
+            if key in found:
+                raise MachineFileError(f"{file}: {where}.{key}: found it beside pulses, expected one or the other")
+        found["pulses"] = _pulses(found["pulses"], found.get("ramp", 0.0), file, where)
+    return _build(OnOffValve, found, file, where)
+
+
+def _pulses(entries: list[Any], ramp: float, file: str, where: str) -> Pulses:
+    pairs: list[tuple[float, float]] = []
+    for i, entry in enumerate(entries):
+        at = f"{where}.pulses[{i}]"
+        if not isinstance(entry, list) or len(pair := cast(list[Any], entry)) != 2:
+            raise MachineFileError(f'{file}: {at}: found {entry!r}, expected two angles, as ["0 deg", "60 deg"]')
+        pairs.append((_entry(pair[0], "angle", file, at), _entry(pair[1], "angle", file, at)))
+    return _build(lambda pulses: check_pulses(pulses, ramp), {"pulses": pairs}, file, where)
 
 
 def _port(data: object, file: str, where: str) -> Port:
@@ -227,6 +263,7 @@ def _nearest(name: str, known: tuple[str, ...]) -> str:
 def _kind_name(kind: Kind) -> str:
     names: dict[Kind, str] = {
         str: "a string",
+        int: "a whole number",
         bool: "true or false",
         dict: "a table",
         list: "an array of tables",

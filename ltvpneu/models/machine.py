@@ -5,6 +5,7 @@ Which volume feeds which chamber through what opening is data, so single- and do
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple, final
@@ -15,7 +16,7 @@ from ltvpneu._arrays import BoolArray, FloatArray, IntArray, finite, not_negativ
 from ltvpneu.physics.cylinder import Cylinder
 from ltvpneu.physics.gas import Gas, GasConstants, GasState
 from ltvpneu.physics.load import Load
-from ltvpneu.physics.valve import OnOffValve, Phase, Profile, RotaryValve, Window, check_phase, merge_angles
+from ltvpneu.physics.valve import OnOffValve, Phase, Profile, Pulses, RotaryValve, Window, check_phase, merge_angles
 
 Collapse = Literal["minimum", "in_series"]
 SOURCES = ("supply", "exhaust")
@@ -38,6 +39,8 @@ class FlowPath:
         C [-], above 0, at most 1.
     opening : {"always", "on", "off"} or Window
         "on" while the valve is on, "off" while it is not, or a window of the turn of its own.
+    valve : int
+        Which valve that is: 0 the machine's `valve`, 1 the first of its `more_valves`, and so on.
     """
 
     source: str
@@ -45,8 +48,11 @@ class FlowPath:
     area: float
     discharge_coefficient: float = 1.0
     opening: Phase | Window = "always"
+    valve: int = 0
 
     def __post_init__(self) -> None:
+        if isinstance(self.valve, bool) or not isinstance(self.valve, int) or self.valve < 0:  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise ValueError(f"valve: found {self.valve!r}, expected the number of a valve, from 0")
         if self.source not in SOURCES:
             raise ValueError(f'source: found {self.source!r}, expected "supply" or "exhaust"')
         not_negative("area", self.area, "m^2")
@@ -140,6 +146,8 @@ class Machine:
     flow_paths : tuple of FlowPath
         Paths beside the ports of a rotary valve; all of them where the valve is an `OnOffValve`.
     gas : Gas
+    more_valves : tuple of OnOffValve
+        Further valves, of flow paths that name them by number; all turn at the same frequency.
     collapse : {"minimum", "in_series"}
         How the inner volume of a rotary valve is collapsed to a point: by the smaller effective area (2), or by solving
         for the pressure between two restrictions that pass the same flow.
@@ -160,6 +168,7 @@ class Machine:
     valve: RotaryValve | OnOffValve
     flow_paths: tuple[FlowPath, ...] = ()
     gas: Gas = Gas()  # noqa: RUF009 - a frozen value
+    more_valves: tuple[OnOffValve, ...] = ()
     collapse: Collapse = "minimum"
 
     def __post_init__(self) -> None:
@@ -177,6 +186,11 @@ class Machine:
 
     def _check_connections(self) -> None:
         for path in self.flow_paths:
+            if path.valve > len(self.more_valves):
+                raise ValueError(
+                    f"flow_paths: found a path of valve {path.valve}, expected 0 to {len(self.more_valves)}, as there "
+                    f"are {len(self.more_valves)} more_valves"
+                )
             if path.chamber not in self.cylinder.chambers:
                 raise ValueError(
                     f"flow_paths: found a path to {path.chamber!r}, expected one of the cylinder's chambers: "
@@ -216,6 +230,21 @@ class Machine:
             raise ValueError("with_offset: found an on-off valve, expected a rotary valve; use with_duty")
         return replace(self, valve=self.valve.with_offset(offset_angle))
 
+    def with_pulses(self, pulses: Sequence[tuple[float, float]]) -> "Machine":
+        """Return the machine with its valve on from angle to angle [rad], once or several times a turn.
+
+        Parameters
+        ----------
+        pulses : sequence of (float, float)
+            Where each pulse opens and closes, rising; the last may close past the end of the turn.
+
+        Raises
+        ------
+        ValueError
+            The angles do not rise, or go round more than once.
+        """
+        return replace(self, valve=self.valve.with_pulses(pulses))
+
     def with_supply_pressure(self, pressure: float) -> "Machine":
         """Return the machine at another supply pressure [Pa, absolute]."""
         return replace(self, supply_pressure=pressure)
@@ -234,7 +263,7 @@ class Machine:
 
     @property
     def duty(self) -> float:
-        """On-time over period [-]."""
+        """On-time of the valve over the period [-]."""
         return self.valve.on_window().width / (2 * math.pi)
 
     @property
@@ -263,10 +292,10 @@ class Machine:
         found: list[Connection] = []
         if isinstance(self.valve, RotaryValve):
             found += _through_valve(self.valve, self.collapse, self.cylinder.chambers)
-        on = self.valve.on_window()
+        on = [valve.on_window() for valve in (self.valve, *self.more_valves)]
         for path in self.flow_paths:
-            area = path.discharge_coefficient * path.area
-            found.append(Connection(source=path.source, chamber=path.chamber, first=_opening(path, on).scaled(area)))
+            opening = _opening(path, on[path.valve]).scaled(path.discharge_coefficient * path.area)
+            found.append(Connection(source=path.source, chamber=path.chamber, first=opening))
         return tuple(found)
 
     @cached_property
@@ -360,7 +389,7 @@ def _through_valve(valve: RotaryValve, collapse: Collapse, chambers: tuple[str, 
     return found
 
 
-def _opening(path: FlowPath, on: Window) -> Profile:
+def _opening(path: FlowPath, on: Window | Pulses) -> Profile:
     if isinstance(path.opening, Window):
         return path.opening.profile
     if path.opening == "always":

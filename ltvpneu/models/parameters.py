@@ -11,7 +11,8 @@ the wrong sign. The partial derivatives are central differences of one period; n
 """
 
 import math
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, NamedTuple, final
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, positive, read_only
 from ltvpneu.errors import NonUniqueOrbitError, NotConvergedError
-from ltvpneu.models.integrator import OK, integrate_period
+from ltvpneu.models.integrator import OK, Record, integrate_period
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.march import march_period
@@ -36,6 +37,7 @@ from ltvpneu.models.own_cycle import MAX_PERIODS, Found, new_steps, retabled, tr
 from ltvpneu.models.repeat import repeat_march
 from ltvpneu.models.runge_kutta import Run
 from ltvpneu.periodic.orbit import Orbit, Trajectory, signal_index
+from ltvpneu.physics.valve import Pulses
 
 PARAMETERS = ("duty", "frequency", "supply_pressure", "exhaust_pressure")
 """What derivatives are taken over by default."""
@@ -48,6 +50,8 @@ TOLERANCE = 1e-10
 
 Period = Callable[[FloatArray, Machine, float], tuple[FloatArray, Trajectory]]
 """From a start, a machine and a frequency to the end of the cycle and the way there."""
+TurnFigures = Callable[[FloatArray, Machine, float], FloatArray]
+"""Likewise, to figures of it."""
 
 
 @final
@@ -93,7 +97,7 @@ class ParameterSensitivity:
 
 
 class Jacobians(NamedTuple):
-    """Of the end, the minima, the maxima and the means of a turn, in this order."""
+    """Of figures of a turn; by default its end, minima, maxima and means, in this order, (4, n)."""
 
     by_state: FloatArray
     """Over the start, (4, n, n)."""
@@ -109,8 +113,9 @@ def parameter_sensitivity(model: LtvModel, parameters: Sequence[str] = PARAMETER
     model : LtvModel
         Of `ltv_model` with operating points "fitted" or "self-consistent".
     parameters : sequence of str
-        "duty", "frequency" [Hz], "offset_angle" [rad], or the way to any number of the machine: "supply_pressure",
-        "load.mass", "cylinder.dead_volume_1", "flow_paths.0.area", ...
+        "duty", "frequency" [Hz], "offset_angle" [rad], where the valve's pulses open and close, "on_1", "off_1",
+        "on_2", ... [rad], or the way to any number of the machine: "supply_pressure", "load.mass",
+        "cylinder.dead_volume_1", "flow_paths.0.area", "more_valves.0.start", ...
 
     Raises
     ------
@@ -166,8 +171,10 @@ def parameter_sensitivity(model: LtvModel, parameters: Sequence[str] = PARAMETER
             residual=tight.residual,
             iterations=tight.n_marched,
         )
-    found_jacobians = _jacobians(period, (machine, model.frequency, tight.start[:-1] * scales), parameters)
-    return _along_the_cycle(found_jacobians, machine, model.frequency, parameters)
+    at = machine, model.frequency, tight.start[:-1] * scales
+    return _along_the_cycle(
+        slopes_along_turn(_figures_of(period), at, parameters), machine, model.frequency, parameters
+    )
 
 
 def nonlinear_sensitivity(
@@ -184,17 +191,23 @@ def nonlinear_jacobians(machine: Machine, frequency: float, orbit: Orbit, parame
     _expect_unique(orbit)
 
     def period(start: FloatArray, machine: Machine, frequency: float) -> tuple[FloatArray, Trajectory]:
-        run = Run(schedule_of(machine, 1 / frequency), machine.arrays, integration_settings(machine, TOLERANCE))
-        state, records = start, []
-        for number in range(orbit.n_periods):
-            outcome = integrate_period(state, run, True)
-            if outcome.status != OK:
-                raise_stopped(machine, outcome.status, number / frequency + outcome.time, outcome.state)
-            records.append(outcome.record)
-            state = outcome.state
-        return state, trajectory_of(joined(records, 1 / frequency))
+        state, record = nonlinear_turn(start, machine, frequency, orbit.n_periods)
+        return state, trajectory_of(record)
 
-    return _jacobians(period, (machine, float(frequency), orbit.initial_state.copy()), parameters)
+    return slopes_along_turn(_figures_of(period), (machine, float(frequency), orbit.initial_state.copy()), parameters)
+
+
+def nonlinear_turn(start: FloatArray, machine: Machine, frequency: float, n_periods: int) -> tuple[FloatArray, Record]:
+    """Integrate the nonlinear model over some periods, tightly; return where it gets to and the way there."""
+    run = Run(schedule_of(machine, 1 / frequency), machine.arrays, integration_settings(machine, TOLERANCE))
+    state, records = start, list[Record]()
+    for number in range(n_periods):
+        outcome = integrate_period(state, run, True)
+        if outcome.status != OK:
+            raise_stopped(machine, outcome.status, number / frequency + outcome.time, outcome.state)
+        records.append(outcome.record)
+        state = outcome.state
+    return state, joined(records, 1 / frequency)
 
 
 def _expect_names(parameters: Sequence[str]) -> None:
@@ -218,27 +231,34 @@ def _expect_unique(orbit: Orbit) -> None:
         )
 
 
-def _jacobians(period: Period, at: tuple[Machine, float, FloatArray], parameters: Sequence[str]) -> Jacobians:
-    machine, frequency, start = at
-    scales, n = machine.state_scales, len(machine.states)
-
+def _figures_of(period: Period) -> TurnFigures:
     def figures(start: FloatArray, machine: Machine, frequency: float) -> FloatArray:
         end, trajectory = period(start, machine, frequency)
+        n = end.size
         extremes = np.array([trajectory.extremes(i) for i in range(n)])
         return np.array([end, extremes[:, 0], extremes[:, 1], trajectory.means()[:n]])
 
-    by_state = np.empty((4, n, n))
+    return figures
+
+
+def slopes_along_turn(
+    figures: TurnFigures, at: tuple[Machine, float, FloatArray], parameters: Sequence[str]
+) -> Jacobians:
+    """Return how figures of a turn, of any shape, depend on its start and on parameters: one more axis, the last."""
+    machine, frequency, start = at
+    scales, n = machine.state_scales, len(machine.states)
+    by_state: list[FloatArray] = []
     for j in range(n):
         move = np.zeros(n)
         move[j] = STATE_STEP * scales[j]
-        by_state[:, :, j] = (figures(start + move, machine, frequency) - figures(start - move, machine, frequency)) / (
-            2 * move[j]
-        )
-    by_parameter = np.empty((4, n, len(parameters)))
-    for column, name in enumerate(parameters):
+        up, down = figures(start + move, machine, frequency), figures(start - move, machine, frequency)
+        by_state.append((up - down) / (2 * move[j]))
+    by_parameter: list[FloatArray] = []
+    for name in parameters:
         (up, down), width = _moved(machine, frequency, name)
-        by_parameter[:, :, column] = (figures(start, *up) - figures(start, *down)) / width
-    return Jacobians(by_state, by_parameter)
+        by_parameter.append((figures(start, *up) - figures(start, *down)) / width)
+    empty = np.empty((*by_state[0].shape, 0))
+    return Jacobians(np.stack(by_state, axis=-1), np.stack(by_parameter, axis=-1) if by_parameter else empty)
 
 
 def _along_the_cycle(
@@ -252,7 +272,7 @@ def _along_the_cycle(
     total = by_parameter + by_state @ by_start
     return ParameterSensitivity(
         parameters=tuple(parameters),
-        values=read_only(np.array([_present(machine, frequency, name) for name in parameters])),
+        values=read_only(np.array([present_value(machine, frequency, name) for name in parameters])),
         states=machine.states,
         minima=read_only(total[1]),
         maxima=read_only(total[2]),
@@ -261,7 +281,14 @@ def _along_the_cycle(
     )
 
 
-def _present(machine: Machine, frequency: float, name: str) -> float:
+def present_value(machine: Machine, frequency: float, name: str) -> float:
+    """Return a parameter's value.
+
+    Raises
+    ------
+    ValueError
+        The machine has no number of that name.
+    """
     if name == "frequency":
         return positive("frequency", frequency, "Hz")
     if name == "duty":
@@ -271,23 +298,59 @@ def _present(machine: Machine, frequency: float, name: str) -> float:
         if math.isnan(angle):
             raise ValueError("parameters: found 'offset_angle' of an on-off valve, expected 'duty'")
         return angle
+    edge = pulse_edge(name)
+    if edge is not None:
+        edges = _edges(machine)
+        if edge >= len(edges):
+            raise ValueError(f"parameters: found {name!r}, but the valve has {len(edges) // 2} pulses")
+        return edges[edge]
     return _value(machine, name.split("."), name)
+
+
+def with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
+    """Return the machine with parameters at other values; a "frequency" among them is no part of it."""
+    edges = list(_edges(machine)) if any(pulse_edge(name) is not None for name in values) else []
+    for name, value in values.items():
+        edge = pulse_edge(name)
+        if edge is not None:
+            edges[edge] = value
+        elif name == "duty":
+            machine = machine.with_duty(value)
+        elif name == "offset_angle":
+            machine = machine.with_offset(value)
+        elif name != "frequency":
+            machine = _replaced(machine, name.split("."), value)
+    return machine.with_pulses(list(zip(edges[::2], edges[1::2], strict=True))) if edges else machine
+
+
+def pulse_edge(name: str) -> int | None:
+    """Return which edge of the pulses a parameter is, from 0, if it is one: "on_1" is 0, "off_1" 1, and so on."""
+    found = re.fullmatch(r"(on|off)_([1-9][0-9]*)", name)
+    return None if found is None else 2 * (int(found[2]) - 1) + (found[1] == "off")
+
+
+def _edges(machine: Machine) -> tuple[float, ...]:
+    on = machine.valve.on_window()
+    return on.edges if isinstance(on, Pulses) else (on.start, on.start + on.width)
 
 
 def _moved(machine: Machine, frequency: float, name: str) -> tuple[tuple[tuple[Machine, float], ...], float]:
     """Return machine and frequency with a parameter a little above and below, and the difference."""
-    value = _present(machine, frequency, name)
+    value = present_value(machine, frequency, name)
     if name == "frequency":
         step = STEP * value
         return ((machine, frequency + step), (machine, frequency - step)), 2 * step
+    step = STEP * (abs(value) if value and not is_angle(name) else 1.0)
+    high, low = value + step, value - step
     if name == "duty":
-        high, low = min(value + STEP, 1.0), max(value - STEP, 0.0)
-        return ((machine.with_duty(high), frequency), (machine.with_duty(low), frequency)), high - low
-    if name == "offset_angle":
-        return tuple((machine.with_offset(value + side * STEP), frequency) for side in (1, -1)), 2 * STEP
-    path = name.split(".")
-    step = STEP * (abs(value) if value else 1.0)
-    return tuple((_replaced(machine, path, value + side * step), frequency) for side in (1, -1)), 2 * step
+        high, low = min(high, 1.0), max(low, 0.0)
+    return tuple((with_values(machine, {name: moved}), frequency) for moved in (high, low)), high - low
+
+
+def is_angle(name: str) -> bool:
+    """Whether a parameter is an angle of the valve [rad], or its duty [-]: of the size of one, whatever its value."""
+    last = name.rpartition(".")[2]
+    return last in ("duty", "offset_angle", "start", "width") or pulse_edge(name) is not None
 
 
 def _value(part: Any, path: Sequence[str], name: str) -> float:

@@ -99,16 +99,25 @@ class ExponentialTrajectory:
 
     def extreme_points(self, signal: int) -> tuple[Extreme, Extreme]:
         """Return where a signal is least and greatest."""
+        steps = self.step_extremes(signal)
+        lows, highs = [low for low, _ in steps], [high for _, high in steps]
+        return min(lows, key=lambda place: place.value), max(highs, key=lambda place: place.value)
+
+    def step_extremes(self, signal: int) -> list[tuple[Extreme, Extreme]]:
+        """Return where a signal is least and greatest on each step, its ends included."""
         sampled = self._samples[:, :, signal]
-        places: list[Extreme] = []
-        for flat in (np.argmin(sampled), np.argmax(sampled)):
-            m, j = (int(i) for i in np.unravel_index(flat, sampled.shape))
-            places.append(Extreme(float(sampled[m, j]), m, float(self.system.durations[m] * self._shares[j])))
+        steps = range(sampled.shape[0])
+        times = self.system.durations[:, None] * self._shares
+        least, greatest = np.argmin(sampled, axis=1), np.argmax(sampled, axis=1)
+        low = [Extreme(float(sampled[m, least[m]]), m, float(times[m, least[m]])) for m in steps]
+        high = [Extreme(float(sampled[m, greatest[m]]), m, float(times[m, greatest[m]])) for m in steps]
         slopes = self._slope_rows(signal)
         changed = np.einsum("mi,mji->mj", slopes, self._sampled_states)
-        for step, left in np.argwhere(changed[:, :-1] * changed[:, 1:] < 0):
-            places.append(self._at_root(int(step), int(left), signal, slopes[step]))
-        return min(places, key=lambda place: place.value), max(places, key=lambda place: place.value)
+        for step, left in np.argwhere(changed[:, :-1] * changed[:, 1:] < 0).tolist():
+            place = self._at_root(step, left, signal, slopes[step])
+            low[step] = place if place.value < low[step].value else low[step]
+            high[step] = place if place.value > high[step].value else high[step]
+        return list(zip(low, high, strict=True))
 
     def _slope_rows(self, signal: int) -> FloatArray:
         return np.einsum("mi,mij->mj", self.rows[:, signal], self.system.scaled.matrices)

@@ -15,11 +15,11 @@ housing: two half-circle windows overlap from max(0, theta_s) to pi + min(0, the
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from itertools import pairwise
-from typing import Literal, final
+from typing import Any, Literal, cast, final
 
 import numpy as np
 
@@ -199,6 +199,74 @@ class Window:
 
 @final
 @dataclass(frozen=True, kw_only=True)
+class Pulses:
+    """Several openings a turn, one after the other.
+
+    Parameters
+    ----------
+    edges : tuple of float
+        Angles of opening and closing in turn [rad], rising; the last at most a turn after the first.
+    ramp : float
+        As of `Window`.
+
+    Examples
+    --------
+    >>> Pulses(edges=(0.0, 1.0, 3.0, 4.5)).width
+    2.5
+    """
+
+    edges: tuple[float, ...]
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        edges = tuple(finite(f"edges[{i}]", edge, "rad") for i, edge in enumerate(self.edges))
+        if len(edges) < 2 or len(edges) % 2:
+            raise ValueError(f"edges: found {len(edges)} angles, expected two a pulse: where it opens, where it closes")
+        for i, (before, after) in enumerate(pairwise(edges)):
+            if after < before:
+                raise ValueError(
+                    f"edges[{i + 1}]: found {after:g} rad after {before:g} rad, expected rising angles of opening and "
+                    "closing in turn"
+                )
+        if edges[-1] - edges[0] > TURN * (1 + 1e-12):
+            raise ValueError(
+                f"edges[{len(edges) - 1}]: found {edges[-1]:g} rad, more than a turn after {edges[0]:g} rad, the first"
+            )
+        not_negative("ramp", self.ramp, "rad")
+        object.__setattr__(self, "edges", edges)
+
+    @property
+    def width(self) -> float:
+        """Angle over which it is open at all [rad]."""
+        return sum(off - on for on, off in zip(self.edges[::2], self.edges[1::2], strict=True))
+
+    @property
+    def complement(self) -> "Pulses":
+        """The rest of the turn, with the same ramp."""
+        return Pulses(edges=(*self.edges[1:], self.edges[0] + TURN), ramp=self.ramp)
+
+    @cached_property
+    def profile(self) -> Profile:
+        """The opening over the turn, 0 (shut) to 1 (fully open)."""
+        return _sum(
+            Window(start=on, width=min(off - on, TURN), ramp=self.ramp).profile
+            for on, off in zip(self.edges[::2], self.edges[1::2], strict=True)
+        )
+
+
+def check_pulses(pulses: Iterable[tuple[float, float]], ramp: float) -> Pulses:
+    """Return pulses given as pairs of angles [rad]: where each opens and where it closes."""
+    edges: list[float] = []
+    for number, pair in enumerate(pulses):
+        angles: Any = pair
+        if not isinstance(angles, Sequence) or len(cast(Sequence[Any], angles)) != 2:
+            raise ValueError(f"pulses[{number}]: found {pair!r}, expected two angles: where it opens and closes [rad]")
+        edges += pair
+    return Pulses(edges=tuple(edges), ramp=ramp)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
 class Port:
     """One port of a rotary valve: it opens a flow path ("way") into an inner volume over an arc of the turn.
 
@@ -249,6 +317,8 @@ class RotaryValve:
         theta_s between stator and housing [rad], -pi to pi.
     duty : float or None
         Overrides the geometry: ports of phase "on" are open over [0, 2 pi duty], those of phase "off" over the rest.
+    pulses : Pulses or None
+        Overrides the geometry likewise, by several pulses a turn.
 
     Examples
     --------
@@ -263,10 +333,13 @@ class RotaryValve:
     ports: tuple[Port, ...]
     offset_angle: float = 0.0
     duty: float | None = None
+    pulses: Pulses | None = None
 
     def __post_init__(self) -> None:
         if not self.ports:
             raise ValueError("ports: found none, expected at least one")
+        if self.duty is not None and self.pulses is not None:
+            raise ValueError("duty, pulses: found both, expected one of them")
         if abs(finite("offset_angle", self.offset_angle, "rad")) > math.pi:
             raise ValueError(f"offset_angle: found {self.offset_angle:g} rad, expected -pi to pi")
         if self.duty is not None:
@@ -274,11 +347,15 @@ class RotaryValve:
 
     def with_duty(self, duty: float) -> "RotaryValve":
         """Return the valve with the open window [0, 2 pi duty], whatever its geometry."""
-        return replace(self, duty=check_duty(duty))
+        return replace(self, duty=check_duty(duty), pulses=None)
 
     def with_offset(self, offset_angle: float) -> "RotaryValve":
         """Return the valve with its geometry's windows, shifted by the offset angle theta_s [rad]."""
-        return replace(self, offset_angle=offset_angle, duty=None)
+        return replace(self, offset_angle=offset_angle, duty=None, pulses=None)
+
+    def with_pulses(self, pulses: Iterable[tuple[float, float]]) -> "RotaryValve":
+        """Return the valve open from angle to angle [rad], whatever its geometry."""
+        return replace(self, duty=None, pulses=check_pulses(pulses, 0.0))
 
     @property
     def ways(self) -> tuple[str, ...]:
@@ -290,10 +367,13 @@ class RotaryValve:
         """Names of the inner volumes, in order of appearance."""
         return tuple(dict.fromkeys(port.volume for port in self.ports))
 
-    def window(self, port: Port) -> Window:
-        """Return the arc over which a port is open, at the present offset or duty."""
+    def window(self, port: Port) -> Window | Pulses:
+        """Return the arcs over which a port is open, at the present offset, duty or pulses."""
         if port.phase == "always":
             return Window(start=0.0, width=TURN)
+        if self.pulses is not None:
+            pulses = replace(self.pulses, ramp=port.window.ramp)
+            return pulses if port.phase == "on" else pulses.complement
         if self.duty is not None:
             on = Window(start=0.0, width=TURN * self.duty, ramp=port.window.ramp)
             return on if port.phase == "on" else on.complement
@@ -312,8 +392,10 @@ class RotaryValve:
         """Effective area between two ways, the inner volumes collapsed to points [m^2], eq. (2)."""
         return _sum(self.way_area(way, volume).minimum(self.way_area(other, volume)) for volume in self.volumes)
 
-    def on_window(self) -> Window:
-        """Return the arc over which the ports of phase "on" are all open."""
+    def on_window(self) -> Window | Pulses:
+        """Return the arcs over which the ports of phase "on" are all open."""
+        if self.pulses is not None:
+            return self.pulses
         if self.duty is not None:
             return Window(start=0.0, width=TURN * self.duty)
         overlap = Profile.constant(1.0)
@@ -326,7 +408,7 @@ class RotaryValve:
 @final
 @dataclass(frozen=True, kw_only=True)
 class OnOffValve:
-    """A valve that is on from the start of the period for a share `duty` of it.
+    """A valve that is on for a share `duty` of the period, in one piece or in several pulses.
 
     Parameters
     ----------
@@ -334,22 +416,38 @@ class OnOffValve:
         On-time over period [-], 0 to 1.
     ramp : float
         Angle over which its paths open and close [rad].
+    start : float
+        Angle at which it goes on [rad]: the phase between valves, where there are several.
+    pulses : Pulses or None
+        Instead of `duty` and `start`, which are then theirs.
     """
 
     duty: float = 0.5
     ramp: float = 0.0
+    start: float = 0.0
+    pulses: Pulses | None = None
 
     def __post_init__(self) -> None:
-        check_duty(self.duty)
         not_negative("ramp", self.ramp, "rad")
+        finite("start", self.start, "rad")
+        if self.pulses is not None:
+            object.__setattr__(self, "duty", min(self.pulses.width / TURN, 1.0))
+            object.__setattr__(self, "start", self.pulses.edges[0])
+        check_duty(self.duty)
 
     def with_duty(self, duty: float) -> "OnOffValve":
-        """Return the valve with another duty cycle."""
-        return replace(self, duty=duty)
+        """Return the valve with another duty cycle, in one piece."""
+        return replace(self, duty=check_duty(duty), pulses=None)
 
-    def on_window(self) -> Window:
-        """Return the arc over which the valve is on."""
-        return Window(start=0.0, width=TURN * self.duty, ramp=self.ramp)
+    def with_pulses(self, pulses: Iterable[tuple[float, float]]) -> "OnOffValve":
+        """Return the valve on from angle to angle [rad]."""
+        return replace(self, pulses=check_pulses(pulses, self.ramp))
+
+    def on_window(self) -> Window | Pulses:
+        """Return the arcs over which the valve is on."""
+        if self.pulses is not None:
+            return self.pulses
+        return Window(start=self.start, width=TURN * self.duty, ramp=self.ramp)
 
 
 def check_duty(duty: float, name: str = "duty") -> float:

@@ -1,0 +1,455 @@
+r"""Figures of a machine's cycle, and their derivatives over anything that a designer sets.
+
+Means, extremes, samples and the mass flow from the supply, as of the refitted linear model or of the nonlinear one. In
+scaled states cell c of the linear model takes its start y_c and its duration tau_c to y_{c+1}, so along the turn
+
+.. math:: dy_{c+1} = A_c\, dy_c + b_c\, d\tau_c + e_c\, d\theta, \qquad (I - A_{N-1} \cdots A_0)\, dy_0 = \ldots
+
+and a figure is a sum over cells, or the state at a place in one of them. An extreme's place is kept: the signal's slope
+vanishes there, or it lies at a switch and moves with it. A, b and e are central differences through each cell's fit.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, NamedTuple, final
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu.errors import NonUniqueOrbitError, NotConvergedError
+from ltvpneu.models.dynamics import STUCK
+from ltvpneu.models.integrator import OK
+from ltvpneu.models.linearize import LtvModel
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.march import Plan, Steps, march_period
+from ltvpneu.models.operating_points import LEAST_DISTANCE
+from ltvpneu.models.own_cycle import MAX_PERIODS, Found, OwnCycle, Question, as_model, new_steps, trajectory_of_steps
+from ltvpneu.models.parameters import STATE_STEP, STEP, TOLERANCE, is_angle, with_values
+from ltvpneu.models.repeat import Repeated, repeat_march
+from ltvpneu.models.turn import Cells, Probes, Turn, march_cells
+from ltvpneu.periodic.exponential import ExponentialTrajectory
+
+FigureKind = Literal["mean", "minimum", "maximum", "at", "air_use"]
+WHOLE = -1
+"""Instead of a piece's number: all of them."""
+
+
+class Figure(NamedTuple):
+    """One number of a cycle."""
+
+    kind: FigureKind
+    """Of a state's mean, extremes, or value at an angle; or the mean mass flow from the supply [kg/s]."""
+    state: int = 0
+    angle: float = 0.0
+    """For "at" [rad], 0 to 2 pi."""
+    piece: int = WHOLE
+    """For extremes: within this piece of the openings. Where those of two pieces draw level the whole turn's has a
+    kink, while each piece's own goes on smoothly."""
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CycleFigures:
+    """A cycle's figures at one setting of the parameters."""
+
+    machine: Machine
+    frequency: float
+    """[Hz]"""
+    values: FloatArray
+    """(n_figures,)"""
+    jacobian: FloatArray
+    """(n_figures, n_parameters)"""
+    initial_state: FloatArray
+    """(n,)"""
+    spectral_radius: float
+    """Of the derivative of the map over the cycle's own period: below one, small deviations die out."""
+
+
+@final
+class LinearCycles:
+    """Refitted linear models of a machine, one cycle per setting of its parameters.
+
+    Parameters
+    ----------
+    machine : Machine
+    frequency : float
+        Where it is no parameter [Hz].
+    mode : {"fitted", "self-consistent"}
+    steps_per_position : int
+        Steps into which each piece of the openings is divided evenly, so that steps move with the edges.
+    distance : float
+        As `least_distance` of `ltv_model`.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        frequency: float,
+        mode: OwnCycle = "fitted",
+        steps_per_position: int = 1,
+        distance: float = LEAST_DISTANCE,
+    ) -> None:
+        self.machine, self.frequency, self.distance = machine, frequency, distance
+        self.mode: OwnCycle = mode
+        self.steps_per_position = steps_per_position
+        self._start: FloatArray | None = None
+        self._edge_slopes: dict[str, tuple[FloatArray, FloatArray]] = {}
+
+    def question(self, values: Mapping[str, float]) -> Question:
+        """Return what model is meant at a setting of the parameters."""
+        machine = with_values(self.machine, values)
+        frequency = float(values.get("frequency", self.frequency))
+        return Question(machine=machine, frequency=frequency, mode=self.mode, distance=self.distance)
+
+    def cycle(self, values: Mapping[str, float]) -> "LinearCycle":
+        """Return the cycle at a setting of the parameters.
+
+        Raises
+        ------
+        NotConvergedError
+            None was found.
+        NonUniqueOrbitError
+            Stiction holds the piston all the time.
+        """
+        question = self.question(values)
+        cells = divided(question.machine.openings.fractions, self.steps_per_position)
+        plan = question.plan(cells, TOLERANCE)
+        steps = new_steps(question, cells)
+
+        def from_start(start: FloatArray) -> Repeated:
+            return repeat_march(np.append(start / plan.scales, 1.0), plan, steps, 10 * TOLERANCE, MAX_PERIODS)
+
+        rest = question.machine.rest_state
+        repeated = from_start(rest if self._start is None else self._start)
+        if repeated.n_periods == 0 and self._start is not None:
+            repeated = from_start(rest)
+        if repeated.n_periods == 0:
+            raise NotConvergedError(
+                f"the {self.mode} model at {question.frequency:g} Hz and duty {question.machine.duty:.4g} has no cycle "
+                "that was found",
+                residual=repeated.residual,
+                iterations=repeated.n_marched,
+            )
+        found = LinearCycle(question=question, cells=cells, plan=plan, repeated=repeated, settings=dict(values))
+        self._start = found.initial_state
+        return found
+
+    def figures(
+        self, values: Mapping[str, float], figures: Sequence[Figure], parameters: Sequence[str]
+    ) -> CycleFigures:
+        """Return a cycle's figures and their derivatives; errors as of `cycle`."""
+        cycle = self.cycle(values)
+        cycle.expect_unique()
+        slopes = np.array([self._slopes_of(cycle, name) for name in parameters]).reshape(len(parameters), -1)
+        return cycle.figures(figures, parameters, slopes.T)
+
+    def _slopes_of(self, cycle: "LinearCycle", name: str) -> FloatArray:
+        """Return how the durations of the cells of one turn follow a parameter [s], (n_cells,)."""
+        question, cells = cycle.question, cycle.cells
+        if name == "frequency":
+            return -np.diff(cells) / question.frequency**2
+        if not is_angle(name):
+            return np.zeros(cells.size - 1)
+        return np.diff(self._cell_slopes(cycle, name)) / question.frequency
+
+    def _cell_slopes(self, cycle: "LinearCycle", name: str) -> FloatArray:
+        table = cycle.question.machine.openings
+        known = self._edge_slopes.get(name)
+        # The way from edges to pieces is affine as long as the pieces come in the same order.
+        if known is not None and _same_pieces(known[0], table.areas):
+            return known[1]
+        value = cycle.settings[name]
+        for step in (STEP, -STEP):
+            moved = with_values(cycle.question.machine, {name: value + step}).openings
+            if _same_pieces(moved.areas, table.areas):
+                slopes = divided(moved.fractions - table.fractions, self.steps_per_position) / step
+                self._edge_slopes[name] = table.areas, slopes
+                return slopes
+        raise ValueError(
+            f"{name}: found {value:g}, from where the order of the switching instants changes either way; keep them "
+            "apart"
+        )
+
+
+def _same_pieces(one: FloatArray, other: FloatArray) -> bool:
+    return one.shape == other.shape and np.allclose(one, other, rtol=1e-9, atol=0)
+
+
+def divided(fractions: FloatArray, n: int) -> FloatArray:
+    """Return boundaries with each interval divided into n, evenly."""
+    if n == 1:
+        return fractions
+    shares = np.arange(n) / n
+    inner = fractions[:-1, None] + np.diff(fractions)[:, None] * shares
+    return np.append(inner.ravel(), fractions[-1])
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LinearCycle:
+    """A cycle of a linear model whose every cell is a piece of the openings, or a part of one."""
+
+    question: Question
+    cells: FloatArray
+    """Shares of the turn, (n_cells + 1,)."""
+    plan: Plan
+    repeated: Repeated
+    settings: dict[str, float]
+
+    @property
+    def initial_state(self) -> FloatArray:
+        """State at the start of the period, (n,)."""
+        return self.repeated.start[:-1] * self.plan.scales
+
+    @property
+    def n_turns(self) -> int:
+        """Valve periods after which it repeats."""
+        return self.repeated.n_periods
+
+    @cached_property
+    def periods(self) -> tuple[Steps, ...]:
+        """The linear steps of every turn."""
+        state, found = self.repeated.start, list[Steps]()
+        for _ in range(self.n_turns):
+            steps = new_steps(self.question, self.cells)
+            marched = march_period(state, self.plan, steps)
+            found.append(Steps(*(part[: marched.n_steps] for part in steps)))
+            state = marched.state
+        return tuple(found)
+
+    @cached_property
+    def model(self) -> LtvModel:
+        """The linear model, as `ltv_model` returns it."""
+        found = Found(
+            question=self.question,
+            cells=self.cells,
+            plan=self.plan,
+            repeated=self.repeated,
+            periods=self.periods,
+            iterations=self.repeated.n_marched,
+        )
+        return as_model(found)
+
+    def expect_unique(self) -> None:
+        """Raise where the piston rests in a stiction band."""
+        if any((steps.table[:, 1] == STUCK).all() for steps in self.periods) and not self.model.orbit.is_unique:
+            free = np.zeros((self.plan.scales.size, 1))
+            free[0] = 1.0
+            raise NonUniqueOrbitError(
+                f"at {self.question.frequency:g} Hz and duty {self.question.machine.duty:.4g} stiction holds the "
+                "piston all the time: where it rests is not decided by the switching (see lp.stiction_band)",
+                least_norm=self.initial_state,
+                free_directions=free,
+            )
+
+    def figures(self, asked: Sequence[Figure], parameters: Sequence[str], slopes: FloatArray) -> CycleFigures:
+        """Return figures and derivatives; `slopes` are those of the cells' durations, (n_cells, n_parameters)."""
+        scales, n_turns = self.plan.scales, self.n_turns
+        n, p = scales.size, len(parameters)
+        durations = np.tile(np.diff(self.plan.run.schedule.times), n_turns)
+        N = durations.size
+        probes, known = self._probes(asked)
+        with_flow = any(figure.kind == "air_use" for figure in asked)
+        differ = _Differences(self, probes, with_flow, durations)
+        base = differ.base
+        local = differ.by_start(STATE_STEP)
+        by_duration = differ.by_duration()
+        direct = np.array([differ.by_parameter(name) for name in parameters]).reshape(p, N * (2 * n + 1) + differ.K * n)
+        # What each cell gives over what moves it: (N, 2 n + 1, n + 1 + p), the starts' part from the states before.
+        along = np.tile(slopes, (n_turns, 1))
+        moved = by_duration[:, :, None] * along[:, None, :] + differ.cells_of(direct)
+        start, radius = _periodic(local[:, :n], moved[:, :n])
+        changes = np.empty((N, n, p))
+        for c in range(N):
+            changes[c] = start
+            start = local[c, :n] @ start + moved[c, :n]
+        summed = np.sum(local[:, n:] @ changes + moved[:, n:], axis=0)
+        totals = np.concatenate([base.integrals.sum(axis=0), [base.flows.sum()]])
+        total_time, time_slopes = durations.sum(), along.sum(axis=0)
+        means = totals / total_time
+        mean_slopes = (summed - means[:, None] * time_slopes) / total_time
+        at = differ.probe_slopes(changes, along, differ.probes_of(direct))
+        values, jacobian = np.empty(len(asked)), np.empty((len(asked), p))
+        for row, (kind, state, angle, _) in enumerate(asked):
+            if kind in ("mean", "air_use"):
+                column = n if kind == "air_use" else state
+                size = 1.0 if kind == "air_use" else scales[state]
+                values[row], jacobian[row] = means[column] * size, mean_slopes[column] * size
+                continue
+            k = known[row]
+            values[row] = base.values[k, state] * scales[state]
+            slope = at[k, state]
+            if kind == "at":
+                # At an angle, not at a place within a cell: that moves with the edges.
+                cell, share = probes.cells[k], probes.shares[k]
+                own = along[:cell].sum(axis=0) + share * along[cell]
+                turned = angle / (2 * np.pi) * (time_slopes / n_turns)
+                slope = slope + base.rates[k, state] * (turned - own)
+            jacobian[row] = slope * scales[state]
+        return CycleFigures(
+            machine=self.question.machine,
+            frequency=self.question.frequency,
+            values=values,
+            jacobian=jacobian,
+            initial_state=self.initial_state,
+            spectral_radius=radius,
+        )
+
+    def _probes(self, asked: Sequence[Figure]) -> tuple[Probes, dict[int, int]]:
+        """Return the places that figures are read off at, and which belongs to which figure."""
+        cells: list[int] = []
+        shares: list[float] = []
+        known: dict[int, int] = {}
+        extremes: dict[int, _Extremes] = {}
+        for row, (kind, state, angle, within) in enumerate(asked):
+            if kind in ("mean", "air_use"):
+                continue
+            if kind == "at":
+                share = angle / (2 * np.pi) % 1.0
+                cell = min(int(np.searchsorted(self.cells, share, side="right")) - 1, self.cells.size - 2)
+                place = cell, float((share - self.cells[cell]) / (self.cells[cell + 1] - self.cells[cell]))
+            else:
+                if state not in extremes:
+                    extremes[state] = self._extremes(state)
+                place = extremes[state].place(kind == "maximum", within)
+            known[row] = len(cells)
+            cells.append(place[0])
+            shares.append(place[1])
+        return Probes(np.array(cells, dtype=np.int64), np.array(shares, dtype=np.float64)), known
+
+    def _extremes(self, state: int) -> "_Extremes":
+        n_cells, turns = self.cells.size - 1, np.arange(self.n_turns)
+        per_piece = n_cells // (self.question.machine.openings.fractions.size - 1)
+        counts = [steps.table.shape[0] for steps in self.periods]
+        table = np.concatenate([steps.table for steps in self.periods])
+        cells = table[:, 0].astype(np.int64) + n_cells * np.repeat(turns, counts)
+        begun = np.concatenate([[0.0], np.cumsum(table[:, 2])])
+        # Of each step, since its cell's start.
+        first = np.searchsorted(cells, cells)
+        since = begun[:-1] - begun[first]
+        whole = np.tile(np.diff(self.plan.run.schedule.times), self.n_turns)
+        found = _Extremes({}, {})
+        for step, (low, high) in enumerate(self._trajectory.step_extremes(state)):
+            for kept, extreme, sign in ((found.low, low, -1), (found.high, high, 1)):
+                cell = int(cells[step])
+                share = min((float(since[step]) + extreme.time) / float(whole[cell]), 1.0)
+                piece = cell % n_cells // per_piece
+                present = kept.get(piece)
+                if present is None or sign * extreme.value > sign * present[0]:
+                    kept[piece] = extreme.value, cell, share
+        return found
+
+    @cached_property
+    def _trajectory(self) -> ExponentialTrajectory:
+        return trajectory_of_steps(self.question.machine, self.periods)
+
+
+class _Extremes(NamedTuple):
+    """A signal's least and greatest value within each piece of the openings: value, cell over all turns, share of it."""
+
+    low: dict[int, tuple[float, int, float]]
+    high: dict[int, tuple[float, int, float]]
+
+    def place(self, greatest: bool, piece: int) -> tuple[int, float]:
+        kept = self.high if greatest else self.low
+        if piece != WHOLE:
+            return kept[piece][1:]
+        return (max if greatest else min)(kept.values())[1:]
+
+
+@final
+class _Differences:
+    """Central differences of a turn's cells, all moved at once."""
+
+    def __init__(self, cycle: LinearCycle, probes: Probes, with_flow: bool, durations: FloatArray) -> None:
+        self.cycle, self.probes, self.with_flow, self.durations = cycle, probes, with_flow, durations
+        self.steps = new_steps(cycle.question, cycle.cells)
+        start = np.tile(cycle.repeated.start, (durations.size, 1))
+        self.base = self._march(cycle.plan, start, durations, True)
+        self.K = probes.cells.size
+
+    def _march(self, plan: Plan, starts: FloatArray, durations: FloatArray, chained: bool) -> Turn:
+        turn = march_cells(Cells(starts, chained, durations), plan, self.steps, self.probes, self.with_flow)
+        if turn.status != OK:
+            raise NotConvergedError(
+                "a march next to the cycle did not come through: there is no derivative here", residual=0, iterations=1
+            )
+        return turn
+
+    def _between(self, up: Turn, down: Turn, width: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return slopes of ends, integrals and flows, (N, 2 n + 1), and of the values at the probes, (K, n)."""
+        whole = [np.column_stack([turn.ends, turn.integrals, turn.flows]) for turn in (up, down)]
+        wide = np.broadcast_to(width, self.durations.shape)
+        return (whole[0] - whole[1]) / wide[:, None], (up.values - down.values) / wide[self.probes.cells][:, None]
+
+    def by_start(self, step: float) -> FloatArray:
+        """Return slopes over the cells' starts, (N, 2 n + 1, n); those of the probes are kept."""
+        plan, starts = self.cycle.plan, self.base.starts
+        N, n = starts.shape[0], starts.shape[1] - 1
+        found, self._probe_by_start = np.empty((N, 2 * n + 1, n)), np.empty((self.K, n, n))
+        for j in range(n):
+            move = np.zeros(n + 1)
+            move[j] = step
+            up = self._march(plan, starts + move, self.durations, False)
+            down = self._march(plan, starts - move, self.durations, False)
+            found[:, :, j], self._probe_by_start[:, :, j] = self._between(up, down, 2 * step)
+        return found
+
+    def by_duration(self) -> FloatArray:
+        """Return slopes over the cells' durations, (N, 2 n + 1)."""
+        width = STEP * self.durations
+        up = self._march(self.cycle.plan, self.base.starts, self.durations + width, False)
+        down = self._march(self.cycle.plan, self.base.starts, self.durations - width, False)
+        found, self._probe_by_duration = self._between(up, down, 2 * width)
+        return found
+
+    def by_parameter(self, name: str) -> FloatArray:
+        """Return slopes over what is no instant of switching, ravelled: (N * (2 n + 1) + K * n,)."""
+        N, n = self.base.ends.shape
+        if name == "frequency" or is_angle(name):
+            return np.zeros(N * (2 * n + 1) + self.K * n)
+        question, value = self.cycle.question, self.cycle.settings[name]
+        step = STEP * (abs(value) or 1.0)
+        turns: list[Turn] = []
+        for moved in (value + step, value - step):
+            changed = replace(question, machine=with_values(question.machine, {name: moved}))
+            plan = changed.plan(self.cycle.cells, TOLERANCE)
+            # In the present scales, which may follow the parameter.
+            run = plan.run._replace(settings=self.cycle.plan.run.settings)
+            turns.append(
+                self._march(
+                    plan._replace(run=run, scales=self.cycle.plan.scales), self.base.starts, self.durations, False
+                )
+            )
+        whole, probes = self._between(turns[0], turns[1], 2 * step)
+        return np.concatenate([whole.ravel(), probes.ravel()])
+
+    def cells_of(self, direct: FloatArray) -> FloatArray:
+        """Return the cells' part of what `by_parameter` gave, (N, 2 n + 1, p)."""
+        N, n = self.base.ends.shape
+        return np.moveaxis(direct[:, : N * (2 * n + 1)].reshape(-1, N, 2 * n + 1), 0, -1)
+
+    def probes_of(self, direct: FloatArray) -> FloatArray:
+        """Return the probes' part, (K, n, p)."""
+        N, n = self.base.ends.shape
+        return np.moveaxis(direct[:, N * (2 * n + 1) :].reshape(-1, self.K, n), 0, -1)
+
+    def probe_slopes(self, changes: FloatArray, along: FloatArray, direct: FloatArray) -> FloatArray:
+        """Return slopes of the values at the probes, their shares of the cells kept, (K, n, p)."""
+        cells = self.probes.cells
+        return (
+            self._probe_by_start @ changes[cells]
+            + self._probe_by_duration[:, :, None] * along[cells][:, None, :]
+            + direct
+        )
+
+
+def _periodic(maps: FloatArray, moved: FloatArray) -> tuple[FloatArray, float]:
+    """Return the change of the cycle's start, (n, p), and the spectral radius of the map over it."""
+    n = maps.shape[1]
+    whole, free = np.eye(n), np.zeros(moved.shape[1:])
+    for one, extra in zip(maps, moved, strict=True):
+        whole, free = one @ whole, one @ free + extra
+    start: FloatArray = np.linalg.solve(np.eye(n) - whole, free).astype(np.float64)
+    return start, float(np.max(np.abs(np.linalg.eigvals(whole))))
