@@ -3,6 +3,7 @@
 from ltvpneu.design.air_use import air_use, with_air_use
 from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box
 from ltvpneu.design.duty_map import DutyMap, duty_map
+from ltvpneu.design.duty_problem import DutyProblem, DutySolution, LinearizedCycle, duty_problem
 from ltvpneu.design.feedback import (
     ClosedLoop,
     Measurement,
@@ -17,8 +18,11 @@ __all__ = [
     "Certificate",
     "ClosedLoop",
     "DutyMap",
+    "DutyProblem",
+    "DutySolution",
     "ForcingProblem",
     "ForcingSolution",
+    "LinearizedCycle",
     "Measurement",
     "PositionController",
     "ValveLimits",
@@ -26,6 +30,7 @@ __all__ = [
     "common_lyapunov",
     "duty_map",
     "duty_model",
+    "duty_problem",
     "forcing_problem",
     "operating_box",
     "simulate_closed_loop",

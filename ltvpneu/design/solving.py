@@ -60,7 +60,7 @@ def solve_convex(
         raise TypeError(f"objective: found {type(asked).__name__}, expected cvxpy.Minimize or cvxpy.Maximize")
     problem = cp.Problem(objective, list(constraints.values()))
     if not problem.is_dcp():
-        raise NotConvexError(_why_not_convex(problem, objective, constraints))
+        raise NotConvexError(why_not_convex(problem, objective, constraints))
     try:
         problem.solve(solver=cp.CLARABEL if solver is None else solver, **(TIGHT if solver is None else {}))
     except CvxpySolverError as error:
@@ -82,7 +82,8 @@ def solve_convex(
     return Solution(status="optimal", value=float(cast(float, problem.value)), duals=duals)
 
 
-def _why_not_convex(problem: cp.Problem, objective: Any, constraints: dict[str, cp.Constraint]) -> str:
+def why_not_convex(problem: cp.Problem, objective: Any, constraints: dict[str, cp.Constraint]) -> str:
+    """Return which parts are not convex, and cvxpy's reason."""
     wrong = [name for name, constraint in constraints.items() if not constraint.is_dcp()]
     if not objective.is_dcp():
         wrong.insert(0, "the objective")

@@ -9,7 +9,7 @@ and a figure is a sum over cells, or the state at a place in one of them. An ext
 vanishes there, or it lies at a switch and moves with it. A, b and e are central differences through each cell's fit.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple, final
@@ -48,22 +48,48 @@ class Figure(NamedTuple):
     kink, while each piece's own goes on smoothly."""
 
 
+class Slopes(NamedTuple):
+    """Derivatives of figures."""
+
+    jacobian: FloatArray
+    """(n_figures, n_parameters)"""
+    spectral_radius: float
+
+
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CycleFigures:
-    """A cycle's figures at one setting of the parameters."""
+    """A cycle's figures at one setting of the parameters; the derivatives are worked out when first asked for."""
 
     machine: Machine
     frequency: float
     """[Hz]"""
     values: FloatArray
     """(n_figures,)"""
-    jacobian: FloatArray
-    """(n_figures, n_parameters)"""
     initial_state: FloatArray
     """(n,)"""
-    spectral_radius: float
-    """Of the derivative of the map over the cycle's own period: below one, small deviations die out."""
+    differentiate: Callable[[], Slopes]
+
+    @cached_property
+    def slopes(self) -> Slopes:
+        """Derivatives of all figures, and the cycle's stability."""
+        return self.differentiate()
+
+    @property
+    def jacobian(self) -> FloatArray:
+        """Derivatives over the parameters, (n_figures, n_parameters).
+
+        Raises
+        ------
+        NotConvergedError
+            A march next to the cycle did not come through.
+        """
+        return self.slopes.jacobian
+
+    @property
+    def spectral_radius(self) -> float:
+        """Of the derivative of the map over the cycle's own period: below one, small deviations die out."""
+        return self.slopes.spectral_radius
 
 
 @final
@@ -141,8 +167,12 @@ class LinearCycles:
         """Return a cycle's figures and their derivatives; errors as of `cycle`."""
         cycle = self.cycle(values)
         cycle.expect_unique()
-        slopes = np.array([self._slopes_of(cycle, name) for name in parameters]).reshape(len(parameters), -1)
-        return cycle.figures(figures, parameters, slopes.T)
+
+        def along() -> FloatArray:
+            slopes = [self._slopes_of(cycle, name) for name in parameters]
+            return np.array(slopes).reshape(len(parameters), cycle.cells.size - 1).T
+
+        return cycle.figures(figures, parameters, along)
 
     def _slopes_of(self, cycle: "LinearCycle", name: str) -> FloatArray:
         """Return how the durations of the cells of one turn follow a parameter [s], (n_cells,)."""
@@ -243,57 +273,41 @@ class LinearCycle:
                 free_directions=free,
             )
 
-    def figures(self, asked: Sequence[Figure], parameters: Sequence[str], slopes: FloatArray) -> CycleFigures:
-        """Return figures and derivatives; `slopes` are those of the cells' durations, (n_cells, n_parameters)."""
-        scales, n_turns = self.plan.scales, self.n_turns
-        n, p = scales.size, len(parameters)
-        durations = np.tile(np.diff(self.plan.run.schedule.times), n_turns)
-        N = durations.size
+    def figures(
+        self, asked: Sequence[Figure], parameters: Sequence[str], slopes: Callable[[], FloatArray]
+    ) -> CycleFigures:
+        """Return figures and derivatives; `slopes` gives those of the cells' durations, (n_cells, n_parameters)."""
+        scales, n = self.plan.scales, self.plan.scales.size
+        durations = np.tile(np.diff(self.plan.run.schedule.times), self.n_turns)
         probes, known = self._probes(asked)
-        with_flow = any(figure.kind == "air_use" for figure in asked)
-        differ = _Differences(self, probes, with_flow, durations)
+        differ = _Differences(self, probes, any(figure.kind == "air_use" for figure in asked), durations)
         base = differ.base
-        local = differ.by_start(STATE_STEP)
-        by_duration = differ.by_duration()
-        direct = np.array([differ.by_parameter(name) for name in parameters]).reshape(p, N * (2 * n + 1) + differ.K * n)
-        # What each cell gives over what moves it: (N, 2 n + 1, n + 1 + p), the starts' part from the states before.
-        along = np.tile(slopes, (n_turns, 1))
-        moved = by_duration[:, :, None] * along[:, None, :] + differ.cells_of(direct)
-        start, radius = _periodic(local[:, :n], moved[:, :n])
-        changes = np.empty((N, n, p))
-        for c in range(N):
-            changes[c] = start
-            start = local[c, :n] @ start + moved[c, :n]
-        summed = np.sum(local[:, n:] @ changes + moved[:, n:], axis=0)
-        totals = np.concatenate([base.integrals.sum(axis=0), [base.flows.sum()]])
-        total_time, time_slopes = durations.sum(), along.sum(axis=0)
-        means = totals / total_time
-        mean_slopes = (summed - means[:, None] * time_slopes) / total_time
-        at = differ.probe_slopes(changes, along, differ.probes_of(direct))
-        values, jacobian = np.empty(len(asked)), np.empty((len(asked), p))
-        for row, (kind, state, angle, _) in enumerate(asked):
-            if kind in ("mean", "air_use"):
-                column = n if kind == "air_use" else state
-                size = 1.0 if kind == "air_use" else scales[state]
-                values[row], jacobian[row] = means[column] * size, mean_slopes[column] * size
-                continue
-            k = known[row]
-            values[row] = base.values[k, state] * scales[state]
-            slope = at[k, state]
-            if kind == "at":
-                # At an angle, not at a place within a cell: that moves with the edges.
-                cell, share = probes.cells[k], probes.shares[k]
-                own = along[:cell].sum(axis=0) + share * along[cell]
-                turned = angle / (2 * np.pi) * (time_slopes / n_turns)
-                slope = slope + base.rates[k, state] * (turned - own)
-            jacobian[row] = slope * scales[state]
+        means = np.append(base.integrals.sum(axis=0), base.flows.sum()) / durations.sum()
+        # A row of means, or of values at the probes, and its unit.
+        rows = [_row(figure, known.get(row), n) for row, figure in enumerate(asked)]
+        sizes = np.append(scales, 1.0)[[column for _, column in rows]]
+        values = [means[column] if k is None else base.values[k, column] for k, column in rows]
+
+        def differentiate() -> Slopes:
+            along = np.tile(slopes(), (self.n_turns, 1))
+            of_means, of_probes, radius = differ.slopes(along, parameters)
+            jacobian = np.empty((len(asked), len(parameters)))
+            for row, (k, column) in enumerate(rows):
+                jacobian[row] = of_means[column] if k is None else of_probes[k, column]
+                if k is not None and asked[row].kind == "at":
+                    # At an angle, not at a place within a cell: that moves with the edges.
+                    cell, share = probes.cells[k], probes.shares[k]
+                    own = along[:cell].sum(axis=0) + share * along[cell]
+                    turned = asked[row].angle / (2 * np.pi) * (along.sum(axis=0) / self.n_turns)
+                    jacobian[row] += base.rates[k, column] * (turned - own)
+            return Slopes(jacobian * sizes[:, None], radius)
+
         return CycleFigures(
             machine=self.question.machine,
             frequency=self.question.frequency,
-            values=values,
-            jacobian=jacobian,
+            values=np.array(values) * sizes,
             initial_state=self.initial_state,
-            spectral_radius=radius,
+            differentiate=differentiate,
         )
 
     def _probes(self, asked: Sequence[Figure]) -> tuple[Probes, dict[int, int]]:
@@ -346,7 +360,7 @@ class LinearCycle:
 
 
 class _Extremes(NamedTuple):
-    """A signal's least and greatest value within each piece of the openings: value, cell over all turns, share of it."""
+    """A signal's least and greatest value within each piece of the openings: value, cell of all turns, share of it."""
 
     low: dict[int, tuple[float, int, float]]
     high: dict[int, tuple[float, int, float]]
@@ -383,32 +397,56 @@ class _Differences:
         wide = np.broadcast_to(width, self.durations.shape)
         return (whole[0] - whole[1]) / wide[:, None], (up.values - down.values) / wide[self.probes.cells][:, None]
 
-    def by_start(self, step: float) -> FloatArray:
-        """Return slopes over the cells' starts, (N, 2 n + 1, n); those of the probes are kept."""
+    def slopes(self, along: FloatArray, parameters: Sequence[str]) -> tuple[FloatArray, FloatArray, float]:
+        """Return how means and flow, (n + 1, p), and values at the probes, (K, n, p), follow parameters; and a radius.
+
+        `along` is how the cells' durations do, (N, p). Places keep their share of the cell.
+        """
+        (N, n), p, base = self.base.ends.shape, len(parameters), self.base
+        by_start, probe_by_start = self._by_start()
+        by_duration, probe_by_duration = self._by_duration()
+        direct = np.zeros((N, 2 * n + 1, p))
+        probe_direct = np.zeros((self.K, n, p))
+        for column, name in enumerate(parameters):
+            if name != "frequency" and not is_angle(name):
+                direct[:, :, column], probe_direct[:, :, column] = self._by_parameter(name)
+        moved = by_duration[:, :, None] * along[:, None, :] + direct
+        start, radius = _periodic(by_start[:, :n], moved[:, :n])
+        changes = np.empty((N, n, p))
+        for c in range(N):
+            changes[c] = start
+            start = by_start[c, :n] @ start + moved[c, :n]
+        summed = np.sum(by_start[:, n:] @ changes + moved[:, n:], axis=0)
+        total, means = self.durations.sum(), np.append(base.integrals.sum(axis=0), base.flows.sum())
+        of_means = (summed - means[:, None] / total * along.sum(axis=0)) / total
+        cells = self.probes.cells
+        of_probes = (
+            probe_by_start @ changes[cells] + probe_by_duration[:, :, None] * along[cells][:, None, :] + probe_direct
+        )
+        return of_means, of_probes, radius
+
+    def _by_start(self) -> tuple[FloatArray, FloatArray]:
+        """Return slopes over the cells' starts, (N, 2 n + 1, n) and of the probes (K, n, n)."""
         plan, starts = self.cycle.plan, self.base.starts
         N, n = starts.shape[0], starts.shape[1] - 1
-        found, self._probe_by_start = np.empty((N, 2 * n + 1, n)), np.empty((self.K, n, n))
+        found, probes = np.empty((N, 2 * n + 1, n)), np.empty((self.K, n, n))
         for j in range(n):
             move = np.zeros(n + 1)
-            move[j] = step
+            move[j] = STATE_STEP
             up = self._march(plan, starts + move, self.durations, False)
             down = self._march(plan, starts - move, self.durations, False)
-            found[:, :, j], self._probe_by_start[:, :, j] = self._between(up, down, 2 * step)
-        return found
+            found[:, :, j], probes[:, :, j] = self._between(up, down, 2 * STATE_STEP)
+        return found, probes
 
-    def by_duration(self) -> FloatArray:
-        """Return slopes over the cells' durations, (N, 2 n + 1)."""
+    def _by_duration(self) -> tuple[FloatArray, FloatArray]:
+        """Return slopes over the cells' durations, (N, 2 n + 1) and (K, n)."""
         width = STEP * self.durations
         up = self._march(self.cycle.plan, self.base.starts, self.durations + width, False)
         down = self._march(self.cycle.plan, self.base.starts, self.durations - width, False)
-        found, self._probe_by_duration = self._between(up, down, 2 * width)
-        return found
+        return self._between(up, down, 2 * width)
 
-    def by_parameter(self, name: str) -> FloatArray:
-        """Return slopes over what is no instant of switching, ravelled: (N * (2 n + 1) + K * n,)."""
-        N, n = self.base.ends.shape
-        if name == "frequency" or is_angle(name):
-            return np.zeros(N * (2 * n + 1) + self.K * n)
+    def _by_parameter(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return slopes over what is no instant of switching, likewise."""
         question, value = self.cycle.question, self.cycle.settings[name]
         step = STEP * (abs(value) or 1.0)
         turns: list[Turn] = []
@@ -417,32 +455,14 @@ class _Differences:
             plan = changed.plan(self.cycle.cells, TOLERANCE)
             # In the present scales, which may follow the parameter.
             run = plan.run._replace(settings=self.cycle.plan.run.settings)
-            turns.append(
-                self._march(
-                    plan._replace(run=run, scales=self.cycle.plan.scales), self.base.starts, self.durations, False
-                )
-            )
-        whole, probes = self._between(turns[0], turns[1], 2 * step)
-        return np.concatenate([whole.ravel(), probes.ravel()])
+            plan = plan._replace(run=run, scales=self.cycle.plan.scales)
+            turns.append(self._march(plan, self.base.starts, self.durations, False))
+        return self._between(turns[0], turns[1], 2 * step)
 
-    def cells_of(self, direct: FloatArray) -> FloatArray:
-        """Return the cells' part of what `by_parameter` gave, (N, 2 n + 1, p)."""
-        N, n = self.base.ends.shape
-        return np.moveaxis(direct[:, : N * (2 * n + 1)].reshape(-1, N, 2 * n + 1), 0, -1)
 
-    def probes_of(self, direct: FloatArray) -> FloatArray:
-        """Return the probes' part, (K, n, p)."""
-        N, n = self.base.ends.shape
-        return np.moveaxis(direct[:, N * (2 * n + 1) :].reshape(-1, self.K, n), 0, -1)
-
-    def probe_slopes(self, changes: FloatArray, along: FloatArray, direct: FloatArray) -> FloatArray:
-        """Return slopes of the values at the probes, their shares of the cells kept, (K, n, p)."""
-        cells = self.probes.cells
-        return (
-            self._probe_by_start @ changes[cells]
-            + self._probe_by_duration[:, :, None] * along[cells][:, None, :]
-            + direct
-        )
+def _row(figure: Figure, probe: int | None, n: int) -> tuple[int | None, int]:
+    """Return which probe a figure is read off at, None for a mean, and which column it is in."""
+    return (None, n) if figure.kind == "air_use" else (probe, figure.state)
 
 
 def _periodic(maps: FloatArray, moved: FloatArray) -> tuple[FloatArray, float]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.errors import LtvpneuError, NonUniqueOrbitError
-from ltvpneu.models.cycle_figures import WHOLE, CycleFigures, Figure
+from ltvpneu.models.cycle_figures import WHOLE, CycleFigures, Figure, Slopes
 from ltvpneu.models.dynamics import source_flow
 from ltvpneu.models.integrator import Record
 from ltvpneu.models.machine import Machine
@@ -84,18 +84,21 @@ class NonlinearCycles:
             return np.append(end, [_figure(record, machine, frequency, figure) for figure in figures])
 
         start, n = orbit.initial_state.copy(), len(machine.states)
-        present = of_turn(start, machine, frequency)
-        by_state, by_parameter = slopes_along_turn(of_turn, (machine, frequency, start), parameters)
-        scales = machine.state_scales
-        maps = by_state[:n] * scales / scales[:, None]
-        by_start = scales[:, None] * np.linalg.solve(np.eye(n) - maps, by_parameter[:n] / scales[:, None])
+
+        def differentiate() -> Slopes:
+            by_state, by_parameter = slopes_along_turn(of_turn, (machine, frequency, start), parameters)
+            scales = machine.state_scales
+            maps = by_state[:n] * scales / scales[:, None]
+            by_start = scales[:, None] * np.linalg.solve(np.eye(n) - maps, by_parameter[:n] / scales[:, None])
+            radius = float(np.max(np.abs(np.linalg.eigvals(maps))))
+            return Slopes(by_parameter[n:] + by_state[n:] @ by_start, radius)
+
         return CycleFigures(
             machine=machine,
             frequency=frequency,
-            values=present[n:],
-            jacobian=by_parameter[n:] + by_state[n:] @ by_start,
+            values=of_turn(start, machine, frequency)[n:],
             initial_state=start,
-            spectral_radius=float(np.max(np.abs(np.linalg.eigvals(maps)))),
+            differentiate=differentiate,
         )
 
 

@@ -300,7 +300,7 @@ def present_value(machine: Machine, frequency: float, name: str) -> float:
         return angle
     edge = pulse_edge(name)
     if edge is not None:
-        edges = _edges(machine)
+        edges = pulse_edges(machine)
         if edge >= len(edges):
             raise ValueError(f"parameters: found {name!r}, but the valve has {len(edges) // 2} pulses")
         return edges[edge]
@@ -309,7 +309,7 @@ def present_value(machine: Machine, frequency: float, name: str) -> float:
 
 def with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
     """Return the machine with parameters at other values; a "frequency" among them is no part of it."""
-    edges = list(_edges(machine)) if any(pulse_edge(name) is not None for name in values) else []
+    edges = list(pulse_edges(machine)) if any(pulse_edge(name) is not None for name in values) else []
     for name, value in values.items():
         edge = pulse_edge(name)
         if edge is not None:
@@ -329,7 +329,8 @@ def pulse_edge(name: str) -> int | None:
     return None if found is None else 2 * (int(found[2]) - 1) + (found[1] == "off")
 
 
-def _edges(machine: Machine) -> tuple[float, ...]:
+def pulse_edges(machine: Machine) -> tuple[float, ...]:
+    """Return the angles at which the valve goes on and off in turn [rad]."""
     on = machine.valve.on_window()
     return on.edges if isinstance(on, Pulses) else (on.start, on.start + on.width)
 

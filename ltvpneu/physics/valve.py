@@ -175,26 +175,39 @@ class Window:
     @cached_property
     def profile(self) -> Profile:
         """The opening over the turn, 0 (shut) to 1 (fully open)."""
-        if self.width >= TURN - SAME_ANGLE:
-            return Profile.constant(1.0)
-        if self.width <= SAME_ANGLE:
-            return Profile.constant(0.0)
-        ramp = min(self.ramp, self.width / 2)
-        corners = self.start + np.array([0.0, ramp, self.width - ramp, self.width])
-        angles = merge_angles(corners % TURN)
-        middles = (angles[:-1] + angles[1:]) / 2
-        half = np.diff(angles) / 2
-        inside = (middles - self.start) % TURN
-        # Each piece is linear, so its ends follow from its middle without asking on which side of a jump they lie.
-        return Profile(angles=angles, starts=self._opening(inside, -half), ends=self._opening(inside, half))
+        return opened([self])
 
-    def _opening(self, middle: FloatArray, shift: FloatArray) -> FloatArray:
+    def opening(self, middle: FloatArray, shift: FloatArray) -> FloatArray:
+        """Return the opening at angles since the start [rad] next to others, in the middles of linear pieces."""
         at = middle + shift
         opening = np.ones_like(at)
         # A ramp shorter than what tells two angles apart is a jump.
         if self.ramp > SAME_ANGLE:
             opening = np.minimum(1.0, np.minimum(at, self.width - at) / self.ramp)
         return np.where(middle < self.width, np.maximum(opening, 0.0), 0.0)
+
+
+def opened(windows: Sequence[Window]) -> Profile:
+    """Return the opening of windows that do not overlap, over the turn."""
+    if any(window.width >= TURN - SAME_ANGLE for window in windows):
+        return Profile.constant(1.0)
+    windows = [window for window in windows if window.width > SAME_ANGLE]
+    if not windows:
+        return Profile.constant(0.0)
+    corners: list[float] = []
+    for window in windows:
+        ramp = min(window.ramp, window.width / 2)
+        corners += [window.start, window.start + ramp, window.start + window.width - ramp, window.start + window.width]
+    angles = merge_angles(np.array(corners) % TURN)
+    middles = (angles[:-1] + angles[1:]) / 2
+    half = np.diff(angles) / 2
+    starts, ends = np.zeros(middles.size), np.zeros(middles.size)
+    for window in windows:
+        # Each piece is linear, so its ends follow from its middle without asking on which side of a jump they lie.
+        inside = (middles - window.start) % TURN
+        starts += window.opening(inside, -half)
+        ends += window.opening(inside, half)
+    return Profile(angles=angles, starts=starts, ends=ends)
 
 
 @final
@@ -248,10 +261,8 @@ class Pulses:
     @cached_property
     def profile(self) -> Profile:
         """The opening over the turn, 0 (shut) to 1 (fully open)."""
-        return _sum(
-            Window(start=on, width=min(off - on, TURN), ramp=self.ramp).profile
-            for on, off in zip(self.edges[::2], self.edges[1::2], strict=True)
-        )
+        pairs = zip(self.edges[::2], self.edges[1::2], strict=True)
+        return opened([Window(start=on, width=min(off - on, TURN), ramp=self.ramp) for on, off in pairs])
 
 
 def check_pulses(pulses: Iterable[tuple[float, float]], ramp: float) -> Pulses:

@@ -1,0 +1,536 @@
+"""Switching angles, frequency and any other number of a machine as variables of a design problem.
+
+The user writes objective and constraints in cvxpy, on expressions of the linearized cycle: every figure is its value at
+the present setting plus its exact derivative, through the refitted operating points, times the step. `solve` then goes
+from convex problem to convex problem (`sequential`).
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, Literal, Protocol, final
+
+import cvxpy as cp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ltvpneu._arrays import FloatArray, finite, finite_array, positive, whole
+from ltvpneu.design.sequential import (
+    BlockFigures,
+    FigureBlock,
+    Found,
+    Progress,
+    Search,
+    Subproblem,
+    Task,
+    best_of,
+    converge,
+)
+from ltvpneu.design.solving import Constraints, named_constraints
+from ltvpneu.errors import LtvpneuError
+from ltvpneu.models.cycle_figures import CycleFigures, Figure, LinearCycles
+from ltvpneu.models.linearize import LtvModel
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.nonlinear_figures import NonlinearCycles
+from ltvpneu.models.own_cycle import OwnCycle
+from ltvpneu.models.parameters import is_angle, present_value, pulse_edge, pulse_edges, with_values
+from ltvpneu.periodic.orbit import Orbit
+
+Bounds = tuple[float, float]
+Scenario = Callable[[Machine], Machine]
+NOMINAL = "nominal"
+ModelKind = Literal["fitted", "self-consistent", "nonlinear"]
+LEAST_WIDTH = 2e-3
+"""Least share of the turn for a pulse, or between pulses, whatever is asked for: none of them vanishes [-]."""
+
+
+class Cycles(Protocol):
+    """Cycles of some model of a machine: `LinearCycles` or `NonlinearCycles`."""
+
+    def figures(
+        self, values: Mapping[str, float], figures: Sequence[Figure], parameters: Sequence[str]
+    ) -> CycleFigures:
+        """Return figures and their derivatives."""
+        ...
+
+
+@final
+class LinearizedCycle:
+    """One scenario's cycle as cvxpy expressions, linearized about the present setting; SI units.
+
+    Where figures are looked at, they are those of the refitted model at the present setting, to first order in a step.
+    """
+
+    def __init__(self, name: str, machine: Machine, blocks: list[FigureBlock], scales: dict[str, float]) -> None:
+        self.name, self.machine, self._blocks, self._scales = name, machine, blocks, scales
+        self._known: dict[tuple[object, ...], cp.Expression] = {}
+
+    def mean(self, signal: str) -> cp.Expression:
+        """Return a state's time mean."""
+        return self._block(("mean", signal), [Figure("mean", self._state(signal))], signal)[0]
+
+    def maximum(self, signal: str) -> cp.Expression:
+        """Return a state's greatest value; convex, for upper bounds."""
+        return cp.max(self._extremes("maximum", signal))
+
+    def minimum(self, signal: str) -> cp.Expression:
+        """Return a state's least value; concave, for lower bounds."""
+        return cp.min(self._extremes("minimum", signal))
+
+    def amplitude(self, signal: str) -> cp.Expression:
+        """Return half of a state's peak-to-peak; convex, for upper bounds."""
+        return (self.maximum(signal) - self.minimum(signal)) / 2
+
+    def affine_amplitude(self, signal: str) -> cp.Expression:
+        """Return half the peak-to-peak, affine, for lower bounds and equations.
+
+        At the extremes as they are now: where two draw level it has a kink that this does not see.
+        """
+        state = self._state(signal)
+        found = self._block(("swing", signal), [Figure("minimum", state), Figure("maximum", state)], signal)
+        return (found[1] - found[0]) / 2
+
+    def at(self, signal: str, angles: ArrayLike) -> cp.Expression:
+        """Return a state at angles of the turn [rad], shape (n_angles,), to track a wanted cycle."""
+        turned = np.mod(finite_array("angles", np.atleast_1d(np.asarray(angles, dtype=np.float64)), (None,)), 2 * np.pi)
+        state = self._state(signal)
+        return self._block(("at", signal, *turned.tolist()), [Figure("at", state, angle) for angle in turned], signal)
+
+    def air_use(self) -> cp.Expression:
+        """Return the mean mass flow from the supply, by the law of the flow along the model's cycle [kg/s]."""
+        return self._block(("air_use",), [Figure("air_use")], "air_use")[0]
+
+    def _extremes(self, kind: Literal["minimum", "maximum"], signal: str) -> cp.Expression:
+        state, n_pieces = self._state(signal), self.machine.openings.fractions.size - 1
+        within = [Figure(kind, state, 0.0, piece) for piece in range(n_pieces)]
+        return self._block((kind, signal), [Figure(kind, state), *within], signal)
+
+    def _state(self, signal: str) -> int:
+        states = self.machine.states
+        if signal not in states:
+            near = get_close_matches(str(signal), states, 1, 0.4)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise ValueError(f"signal: found {signal!r}, expected one of {', '.join(states)}{hint}")
+        return states.index(signal)
+
+    def _block(self, key: tuple[object, ...], figures: list[Figure], signal: str) -> cp.Expression:
+        if key not in self._known:
+            block = FigureBlock(scenario=self.name, figures=tuple(figures), scale=self._scales[signal])
+            self._blocks.append(block)
+            self._known[key] = block.scale * block.variable
+        return self._known[key]
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class DutySolution:
+    """What a design of switching angles ended with."""
+
+    status: str
+    """"optimal": stationary, all constraints kept. "infeasible": no setting near keeps them; this is the nearest that
+    was found. "stopped": out of iterations or out of digits, at `residual`."""
+    values: dict[str, float]
+    """Of the variables."""
+    objective: float
+    """Of the model that was designed on; nan where infeasible."""
+    constraints: dict[str, float]
+    """By how much each is broken on that model, in its own unit; 0 where it is kept."""
+    nonlinear_constraints: dict[str, float]
+    """The same on the nonlinear machine; nan where that has no cycle."""
+    nonlinear_objective: float
+    duals: dict[str, float]
+    """Of the constraints: how fast the objective falls with each one's bound, in its own unit."""
+    active: tuple[str, ...]
+    """Constraints, and bounds of variables, that hold the design."""
+    residual: float
+    """Of the conditions of optimality, scaled [-]: the longest of the step that the convex problem with unit curvature
+    still takes, the constraints' violation, and their duals times what is left to their bounds."""
+    merits: tuple[tuple[float, float], ...]
+    """Objective plus penalties before and after every step taken, each pair with the same penalty."""
+    n_cycles: int
+    """Cycles computed with derivatives."""
+    n_failed: int
+    """Settings tried where the model had no cycle."""
+    spectral_radius: float
+    """Of the cycle, the refit included: below one it is stable."""
+    machine: Machine
+    """As designed."""
+    frequency: float
+    """[Hz]"""
+    model: LtvModel | None
+    """The linear model designed on, if it was one."""
+    nonlinear: dict[str, Orbit | str]
+    """Cycle of the nonlinear machine in every scenario, or why it has none."""
+    lower_bound: float = math.nan
+    """Of the objective over all settings, where the search was global; see `search_globally`."""
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name} {value:.6g}" for name, value in self.values.items())
+        return f"<DutySolution: {self.status}, objective {self.objective:.6g}, {shown}, residual {self.residual:.1e}>"
+
+
+@final
+class DutyProblem:
+    """A machine's switching as variables of a design problem; made by `duty_problem`.
+
+    Attributes
+    ----------
+    machine : Machine
+    frequency : float
+        Where it is no variable [Hz].
+    bounds : dict of (float, float)
+        Of every variable.
+    variables : dict of cvxpy.Expression
+        By name, SI units, scalars.
+    scenarios : dict of LinearizedCycle
+        By name; "nominal" is the machine as it is.
+    limits : dict of cvxpy.Constraint
+        What every setting keeps: the variables' bounds, and pulses and pauses no shorter than asked for.
+    """
+
+    def __init__(
+        self, machine: Machine, frequency: float, bounds: dict[str, Bounds], scenarios: Mapping[str, Scenario]
+    ) -> None:
+        self.machine, self.frequency, self.bounds = machine, frequency, bounds
+        self._changes = scenarios
+        self._step = cp.Variable(len(bounds))
+        self._setting = cp.Variable(len(bounds))
+        self.variables: dict[str, cp.Expression] = {
+            name: low + (high - low) * self._setting[i] for i, (name, (low, high)) in enumerate(bounds.items())
+        }
+        self._blocks: list[FigureBlock] = []
+        scales = {
+            **dict(zip(machine.states, machine.state_scales.tolist(), strict=True)),
+            "air_use": _flow_size(machine),
+        }
+        self.scenarios = {
+            name: LinearizedCycle(name, change(machine), self._blocks, scales)
+            for name, change in {NOMINAL: _as_it_is, **scenarios}.items()
+        }
+        self.limits: dict[str, cp.Constraint] = {}
+
+    def __repr__(self) -> str:
+        return f"<DutyProblem of {self.machine.name}: {', '.join(self.bounds)}; {len(self.scenarios)} scenarios>"
+
+    @property
+    def nominal(self) -> LinearizedCycle:
+        """The cycle of the machine as it is."""
+        return self.scenarios[NOMINAL]
+
+    def switching(self) -> cp.Expression:
+        """Return how often the valves switch on [1/s]."""
+        pulses = self.machine.openings.jumps.size // 2
+        found = self.variables.get("frequency")
+        return max(pulses, 1) * (cp.Constant(self.frequency) if found is None else found)
+
+    def solve(  # noqa: PLR0913 - keyword-only, each with its default
+        self,
+        objective: cp.Minimize | cp.Maximize,
+        constraints: Constraints = (),
+        *,
+        model: ModelKind = "fitted",
+        steps_per_position: int = 1,
+        start: Mapping[str, float] | None = None,
+        n_starts: int | None = None,
+        tolerance: float = 1e-6,
+        max_iterations: int = 100,
+        globally: bool = False,
+        progress: Progress | None = None,
+    ) -> DutySolution:
+        """Solve by sequential convex programming.
+
+        Parameters
+        ----------
+        objective : cvxpy.Minimize or cvxpy.Maximize
+        constraints : sequence or dict of cvxpy constraints
+            Comparisons <=, >= and ==; duals come back under the dict's names.
+        model : {"fitted", "self-consistent", "nonlinear"}
+            What the figures are those of.
+        steps_per_position : int
+            Steps of a linear model in each position of the valve.
+        start : mapping of str to float, optional
+            Where to start; by default from the best of `n_starts` settings.
+        n_starts : int, optional
+            Settings looked at first. Default 41 for one variable, 121 for two, 16 beyond: the machine's own, and a
+            Sobol sequence.
+        tolerance : float
+            Of `residual`.
+        max_iterations : int
+        globally : bool
+            Look at every part of the bounds, for one or two variables, and return a lower bound too.
+        progress : callable, optional
+            Called with a text and a share done, 0 to 1.
+
+        Raises
+        ------
+        NotConvexError
+            cvxpy finds objective or constraints not to be convex in the figures.
+        SolverError
+            The solver failed on a convex problem.
+        LtvpneuError
+            No setting looked at has a cycle: the last one's reason.
+        """
+        asked: Any = objective
+        if not isinstance(asked, cp.Minimize | cp.Maximize):
+            raise TypeError(f"objective: found {type(asked).__name__}, expected cvxpy.Minimize or cvxpy.Maximize")
+        task = Task(
+            step=self._step,
+            setting=self._setting,
+            blocks=tuple(self._blocks),
+            objective=objective,
+            constraints=named_constraints(constraints),
+            limits=self.limits,
+        )
+        subproblem = Subproblem(task)
+        cycles = self._cycles(model, steps_per_position)
+        search = Search(subproblem=subproblem, evaluate=lambda setting: self._evaluate(cycles, setting))
+        if globally:
+            from ltvpneu.design.global_search import search_globally
+
+            found, lower = search_globally(search, tolerance, max_iterations, progress)
+        else:
+            begin = self._start(search, start, n_starts, progress)
+            found, lower = converge(search, begin, tolerance, max_iterations, progress), math.nan
+        return self._solution(found, subproblem, cycles, lower)
+
+    def values_at(self, setting: FloatArray) -> dict[str, float]:
+        """Return the variables at a setting, each as a share of its bounds."""
+        return {
+            name: low + (high - low) * float(share)
+            for share, (name, (low, high)) in zip(setting, self.bounds.items(), strict=True)
+        }
+
+    def _cycles(self, model: ModelKind, steps_per_position: int) -> dict[str, Cycles]:
+        if model not in ("fitted", "self-consistent", "nonlinear"):
+            raise ValueError(f'model: found {model!r}, expected "fitted", "self-consistent" or "nonlinear"')
+        whole("steps_per_position", steps_per_position)
+        found: dict[str, Cycles] = {}
+        for name, cycle in self.scenarios.items():
+            if model == "nonlinear":
+                found[name] = NonlinearCycles(cycle.machine, self.frequency)
+            else:
+                mode: OwnCycle = model
+                found[name] = LinearCycles(cycle.machine, self.frequency, mode, steps_per_position)
+        return found
+
+    def _evaluate(self, cycles: Mapping[str, Cycles], setting: FloatArray) -> list[BlockFigures]:
+        """Return the figures of every block, with derivatives over the setting, in the blocks' scales."""
+        values, widths = self.values_at(setting), np.array([high - low for low, high in self.bounds.values()])
+        found: list[BlockFigures | None] = [None] * len(self._blocks)
+        for name, cycle in cycles.items():
+            mine = [i for i, block in enumerate(self._blocks) if block.scenario == name]
+            asked = [figure for i in mine for figure in self._blocks[i].figures]
+            figures = cycle.figures(values, asked, list(self.bounds))
+            first = 0
+            for i in mine:
+                block = self._blocks[i]
+                rows = slice(first, first + len(block.figures))
+                first = rows.stop
+                found[i] = BlockFigures(figures, rows, widths, block.scale)
+        return [one for one in found if one is not None]
+
+    def _start(
+        self, search: Search, start: Mapping[str, float] | None, n_starts: int | None, progress: Progress | None
+    ) -> FloatArray:
+        if start is not None:
+            for name in start:
+                if name not in self.bounds:
+                    raise ValueError(f"start: found {name!r}, expected {', '.join(self.bounds)}")
+            given = {name: start.get(name, present_value(self.machine, self.frequency, name)) for name in self.bounds}
+            return self._setting_of(given)
+        own = {name: present_value(self.machine, self.frequency, name) for name in self.bounds}
+        p = len(self.bounds)
+        count = {1: 41, 2: 121}.get(p, 16) if n_starts is None else whole("n_starts", n_starts)
+        return best_of(search, self._setting_of(own), count, progress)
+
+    def _setting_of(self, values: Mapping[str, float]) -> FloatArray:
+        shares = [(finite(name, values[name]) - low) / (high - low) for name, (low, high) in self.bounds.items()]
+        return np.clip(np.array(shares), 0.0, 1.0)
+
+    def _solution(
+        self, found: Found, subproblem: Subproblem, cycles: Mapping[str, Cycles], lower: float
+    ) -> DutySolution:
+        values = self.values_at(found.setting)
+        machine, frequency = with_values(self.machine, values), float(values.get("frequency", self.frequency))
+        nominal = cycles[NOMINAL]
+        objective, broken = subproblem.measured(found.setting, found.figures)
+        checked = self._cycles("nonlinear", 1)
+        orbits: dict[str, Orbit | str] = {}
+        for name, cycle in checked.items():
+            try:
+                orbits[name] = cycle.orbit(values) if isinstance(cycle, NonlinearCycles) else ""
+            except LtvpneuError as error:
+                orbits[name] = str(error)
+        try:
+            nonlinear = subproblem.measured(found.setting, self._evaluate(checked, found.setting))
+        except LtvpneuError:
+            nonlinear = math.nan, dict.fromkeys(broken, math.nan)
+        return DutySolution(
+            status=found.status,
+            values=values,
+            objective=objective if found.status != "infeasible" else math.nan,
+            constraints=broken,
+            nonlinear_constraints=nonlinear[1],
+            nonlinear_objective=nonlinear[0],
+            duals=found.duals,
+            active=found.active + self._at_bounds(found.setting),
+            residual=found.residual,
+            merits=tuple(found.merits),
+            n_cycles=found.n_cycles,
+            n_failed=found.n_failed,
+            spectral_radius=max((figures.cycle.spectral_radius for figures in found.figures), default=math.nan),
+            machine=machine,
+            frequency=frequency,
+            model=nominal.cycle(values).model if isinstance(nominal, LinearCycles) else None,
+            nonlinear=orbits,
+            lower_bound=lower,
+        )
+
+    def _at_bounds(self, setting: FloatArray) -> tuple[str, ...]:
+        names: list[str] = []
+        for share, (name, (low, high)) in zip(setting, self.bounds.items(), strict=True):
+            if share < 1e-9 or share > 1 - 1e-9:
+                names.append(f"{name} {'>=' if share < 0.5 else '<='} {low if share < 0.5 else high:g}")
+        return tuple(names)
+
+
+def duty_problem(
+    machine: Machine,
+    frequency: float | Bounds,
+    variables: Mapping[str, Bounds] | None = None,
+    *,
+    scenarios: Mapping[str, Scenario] | None = None,
+    shortest_on: float = 0.0,
+    shortest_off: float = 0.0,
+) -> DutyProblem:
+    """Return a machine's switching as variables of a design problem.
+
+    Parameters
+    ----------
+    machine : Machine
+    frequency : float or (float, float)
+        Switching frequency [Hz]; bounds make it a variable.
+    variables : mapping of str to (float, float), optional
+        Bounds of what is free: "duty", "offset_angle" [rad], edges of the valve's pulses "on_1", "off_1", "on_2", ...
+        [rad], "more_valves.0.start" [rad], "supply_pressure" [Pa], or any number of the machine as in
+        `parameter_sensitivity`. By default the duty, or, of a machine with several pulses, all edges but the first.
+    scenarios : mapping of str to callable, optional
+        Each takes the machine to what it may be instead: lower supply pressure, more friction, another load.
+    shortest_on, shortest_off : float
+        Least time that the valve is open, and shut, in one piece [s].
+
+    Returns
+    -------
+    DutyProblem
+
+    Raises
+    ------
+    ValueError
+        Unknown variables, bounds that contradict each other, shortest times that do not fit into a period.
+
+    Examples
+    --------
+    The duty at which Table 1 swings about 45 mm at 8 Hz:
+
+    >>> import cvxpy as cp
+    >>> import ltvpneu as lp
+    >>> from ltvpneu import design
+    >>> problem = design.duty_problem(lp.load_machine("kunt_singh_1990"), 8.0)
+    >>> found = problem.solve(cp.Minimize((problem.nominal.mean("position") / 1e-3 - 45) ** 2))
+    >>> print(f"{found.values['duty']:.3f} {1e3 * found.nonlinear['nominal'].mean('position'):.1f} mm")
+    0.479 44.8 mm
+    """
+    on, off = finite("shortest_on", shortest_on, "s"), finite("shortest_off", shortest_off, "s")
+    is_free = isinstance(frequency, tuple)
+    bounds = dict(_default_variables(machine) if variables is None else variables)
+    if isinstance(frequency, tuple):
+        bounds["frequency"] = frequency
+        present = math.sqrt(positive("frequency", frequency[0], "Hz") * positive("frequency", frequency[1], "Hz"))
+    else:
+        present = positive("frequency", frequency, "Hz")
+    if not bounds:
+        raise ValueError("variables: found none, expected at least one")
+    for name, pair in bounds.items():
+        _check_bounds(machine, present, name, pair)
+    problem = DutyProblem(machine, present, bounds, dict(scenarios or {}))
+    problem.limits.update(_pulse_limits(problem, (on, off), is_free))
+    return problem
+
+
+def _default_variables(machine: Machine) -> dict[str, Bounds]:
+    edges = pulse_edges(machine)
+    if len(edges) == 2:
+        return {"duty": (0.02, 0.98)}
+    first = float(edges[0])
+    names = [f"{'off' if i % 2 else 'on'}_{i // 2 + 1}" for i in range(1, len(edges))]
+    return dict.fromkeys(names, (first, first + 2 * math.pi))
+
+
+def _check_bounds(machine: Machine, frequency: float, name: str, pair: Any) -> None:
+    if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
+        raise ValueError(f"variables: found {pair!r} for {name!r}, expected its least and its greatest value")
+    low, high = (finite(name, value) for value in pair)
+    if low >= high:
+        raise ValueError(f"variables: found bounds {low:g} to {high:g} of {name!r}, expected the lower one first")
+    try:
+        present_value(machine, frequency, name)
+    except ValueError as error:
+        known = ["duty", "frequency", "offset_angle", "on_1", "off_1", "supply_pressure", "exhaust_pressure"]
+        near = get_close_matches(name, known, 1, 0.5)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"variables: found {name!r}, which is no number of the machine ({error}){hint}") from None
+    if name == "duty" and not (low >= 0 and high <= 1):
+        raise ValueError(f"variables: found bounds {low:g} to {high:g} of 'duty', expected 0 to 1")
+    if not is_angle(name) and name != "frequency":
+        for value in (low, high):
+            try:
+                with_values(machine, {name: value})
+            except ValueError as error:
+                raise ValueError(f"variables: found {value:g} for {name!r}: {error}") from None
+
+
+def _pulse_limits(problem: DutyProblem, shortest: Bounds, is_free: bool) -> dict[str, cp.Constraint]:
+    """Return constraints that keep pulses and pauses as long as asked for, and the edges in order."""
+    variables, machine = problem.variables, problem.machine
+    frequency = variables["frequency"] if is_free else cp.Constant(problem.frequency)
+    fastest = problem.bounds["frequency"][1] if is_free else problem.frequency
+    slowest = problem.bounds["frequency"][0] if is_free else problem.frequency
+    if sum(shortest) * slowest > 1:
+        raise ValueError(
+            f"shortest_on, shortest_off: found {shortest[0]:g} s and {shortest[1]:g} s, more than a period of "
+            f"{1 / slowest:g} s; expected shorter ones, or a lower frequency"
+        )
+    on, off = (max(time * fastest, LEAST_WIDTH) if not is_free else time for time in shortest)
+    least_on = cp.maximum(on * frequency, LEAST_WIDTH) if is_free else cp.Constant(on)
+    least_off = cp.maximum(off * frequency, LEAST_WIDTH) if is_free else cp.Constant(off)
+    found: dict[str, cp.Constraint] = {}
+    if "duty" in variables:
+        found["shortest pulse"] = variables["duty"] >= least_on
+        found["shortest pause"] = 1 - variables["duty"] >= least_off
+        return found
+    if not any(pulse_edge(name) is not None for name in variables):
+        return found
+    given = pulse_edges(machine)
+    edges = [
+        variables.get(f"{'off' if i % 2 else 'on'}_{i // 2 + 1}", cp.Constant(float(edge)))
+        for i, edge in enumerate(given)
+    ]
+    for i, (before, after) in enumerate(zip(edges, [*edges[1:], edges[0] + 2 * math.pi], strict=True)):
+        least = (least_off if i % 2 else least_on) * (2 * math.pi)
+        if before.variables() or after.variables():
+            found[f"shortest {'pause' if i % 2 else 'pulse'} {i // 2 + 1}"] = after - before >= least
+    return found
+
+
+def _flow_size(machine: Machine) -> float:
+    """Return the size of flows from the supply: what the largest openings pass when choked [kg/s]."""
+    areas = machine.openings.areas[:, 0][:, machine.arrays.path_from_supply]
+    gas = machine.gas
+    choked = 0.7 / math.sqrt(gas.specific_gas_constant * gas.temperature)
+    largest = float(np.sum(np.max(areas, axis=0))) if areas.size else 0.0
+    return choked * machine.supply_pressure * largest or 1.0
+
+
+def _as_it_is(machine: Machine) -> Machine:
+    return machine

@@ -1,0 +1,531 @@
+r"""Sequential convex programming on figures with exact derivatives.
+
+With figures F(x), in settings x scaled to their bounds, and the user's convex objective phi and constraints c, each
+step solves one convex problem, built once and given new numbers,
+
+.. math:: \min_d \; \phi(y, x_k + d) + \sigma \sum_i t_i + \tfrac12 |L d|^2, \quad y = F(x_k) + F'(x_k) d, \quad
+          c_i(y, x_k + d) \le t_i, \quad |d|_\infty \le \Delta
+
+The duals of y = ... are what one more unit of each figure is worth, so nu^T F is the figures' part of the Lagrangian;
+L^T L is its curvature by damped BFGS updates. A step is taken if the merit, objective plus penalties, falls by a share
+of what the convex problem foretold; else the trust region Delta shrinks. In the end the convex problem with L = I is
+solved once more: the step that it still takes is the gradient of the Lagrangian, the residual of optimality.
+"""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, cast, final
+
+import cvxpy as cp
+import numpy as np
+from cvxpy.constraints.nonpos import Inequality
+from cvxpy.constraints.zero import Equality
+from cvxpy.error import SolverError as CvxpySolverError
+from scipy.stats import qmc
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu.design.solving import TIGHT, why_not_convex
+from ltvpneu.errors import LtvpneuError, NotConvexError, SolverError
+from ltvpneu.models.cycle_figures import CycleFigures, Figure
+
+Progress = Callable[[str, float], object]
+
+FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.1, 0.5, 1e-9
+"""Of the trust region, as a share of each variable's bounds [-]."""
+FIRST_PENALTY, LARGEST_PENALTY = 10.0, 1e6
+"""On the constraints' scaled violation."""
+LEAST_SHARE = 0.05
+"""Share of the foretold fall of the merit that a step must make true [-]."""
+ROUNDING = 1e-9
+"""Changes of the merit that the cycles' own accuracy does not tell from none [-]."""
+FIRST_CURVATURE = 0.1
+FEASIBLE = 1e-7
+"""Scaled violation up to which a constraint counts as kept [-]."""
+ACTIVE = 1e-6
+"""Scaled dual above which a constraint counts as active [-]."""
+
+
+@final
+class FigureBlock:
+    """Figures that belong together: a cvxpy variable, and the numbers of its linearization."""
+
+    def __init__(self, *, scenario: str, figures: tuple[Figure, ...], scale: float) -> None:
+        self.scenario, self.figures, self.scale = scenario, figures, scale
+        self.variable = cp.Variable(len(figures))
+
+
+@final
+class BlockFigures:
+    """A block's values, and its slopes over the settings when asked for, in the block's scale."""
+
+    def __init__(self, cycle: CycleFigures, rows: slice, widths: FloatArray, scale: float) -> None:
+        self.cycle, self._rows, self._widths, self._scale = cycle, rows, widths, scale
+        self.values = cycle.values[rows] / scale
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """(n_figures, n_variables)"""
+        return self.cycle.jacobian[self._rows] * self._widths / self._scale
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Task:
+    """What is to be solved."""
+
+    step: cp.Variable
+    setting: cp.Variable
+    blocks: tuple[FigureBlock, ...]
+    objective: cp.Minimize | cp.Maximize
+    constraints: dict[str, cp.Constraint]
+    limits: dict[str, cp.Constraint]
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Answer:
+    """What one convex problem says."""
+
+    step: FloatArray
+    merit: float
+    """Foretold, without the curvature's part."""
+    curvature: float
+    figure_duals: FloatArray
+    """Of the figures, one after the other: what one unit more of each costs."""
+    duals: dict[str, FloatArray]
+    """Of the constraints, scaled."""
+
+
+@final
+class Subproblem:
+    """The convex problem, built once."""
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        sign = 1.0 if isinstance(task.objective, cp.Minimize) else -1.0
+        self.sign = sign
+        self._expression: Any = sign * task.objective.args[0]
+        for name, constraint in task.constraints.items():
+            if not isinstance(constraint, Inequality | Equality):
+                raise TypeError(f"{name}: found {type(constraint).__name__}, expected a comparison by <=, >= or ==")
+        named: dict[str, cp.Constraint] = {**task.constraints, **task.limits}
+        plain = cp.Problem(task.objective, list(named.values()))
+        if not plain.is_dcp():
+            raise NotConvexError(why_not_convex(plain, task.objective, named))
+        p = task.step.size
+        m = sum(block.variable.size for block in task.blocks)
+        self.n_figures, self.n_variables = m, p
+        self._values, self._slopes = cp.Parameter(m), cp.Parameter((m, p))
+        self._at, self._root, self._radius = cp.Parameter(p), cp.Parameter((p, p)), cp.Parameter(nonneg=True)
+        self._penalty, self._weight = cp.Parameter(nonneg=True), 1.0
+        self._sizes: dict[str, float] = {}
+        self._problems: dict[bool, cp.Problem] = {}
+        self._links: list[Any] = []
+        self._kept: dict[str, Any] = {}
+        self._excess: Any = cp.Constant(0.0)
+
+    # Values at figures
+    # -----------------------------------------------------------------------------------------------------
+
+    def put(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> None:
+        """Give the expressions the values that figures have at a setting."""
+        self.task.setting.value = setting
+        for block, one in zip(self.task.blocks, figures, strict=True):
+            block.variable.value = one.values
+
+    def measured(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> tuple[float, dict[str, float]]:
+        """Return the objective, and by how much each constraint is broken, in the user's units."""
+        self.put(setting, figures)
+        value = _number(self.task.objective.args[0])
+        broken = {name: float(np.max(np.atleast_1d(_violation(c)))) for name, c in self.task.constraints.items()}
+        return value, broken
+
+    def merit(self, setting: FloatArray, figures: Sequence[BlockFigures], penalty: float) -> tuple[float, float]:
+        """Return the merit, and the sum of the scaled violations."""
+        self.put(setting, figures)
+        broken = sum(
+            float(np.sum(_violation(constraint))) / self._sizes[name]
+            for name, constraint in self.task.constraints.items()
+        )
+        return self._weight * _number(self._expression) / self._sizes[""] + penalty * broken, broken
+
+    def slack(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> dict[str, FloatArray]:
+        """Return the scaled residuals of the constraints: below zero, kept with room."""
+        self.put(setting, figures)
+        return {
+            name: np.asarray(cast(Any, constraint).expr.value, dtype=np.float64) / self._sizes[name]
+            for name, constraint in self.task.constraints.items()
+        }
+
+    # The convex problem
+    # -----------------------------------------------------------------------------------------------------
+
+    def scale(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> None:
+        """Set the sizes of objective and constraints from their slopes at a first point, and build the problem."""
+        self.put(setting, figures)
+        slopes = np.vstack([one.jacobian for one in figures]) if figures else np.zeros((0, self.n_variables))
+        self._sizes = {"": max(self._size(self._expression, slopes), 1e-300)}
+        for name, constraint in self.task.constraints.items():
+            self._sizes[name] = max(self._size(cast(Any, constraint).expr, slopes), 1e-300)
+        self._build()
+
+    def _size(self, expression: Any, slopes: FloatArray) -> float:
+        """Return how much an expression changes over the bounds of the settings, by its slopes; else its value."""
+        gradient = expression.grad
+        found = abs(np.max(np.abs(np.asarray(expression.value)), initial=0.0)) * 1e-3
+        first = 0
+        for block in self.task.blocks:
+            rows = slopes[first : first + block.variable.size]
+            first += block.variable.size
+            found = max(found, float(np.max(np.abs(_dense(gradient, block.variable).T @ rows), initial=0.0)))
+        return max(found, float(np.max(np.abs(_dense(gradient, self.task.setting)), initial=0.0))) or 1.0
+
+    def _build(self) -> None:
+        task, p = self.task, self.n_variables
+        all_figures = cp.hstack([block.variable for block in task.blocks]) if task.blocks else None
+        self._links = [task.setting == self._at + task.step]
+        if all_figures is not None:
+            self._links.insert(0, all_figures == self._values + self._slopes @ task.step)
+        hard: list[Any] = [cp.abs(task.step) <= self._radius, task.setting >= 0, task.setting <= 1]
+        hard += list(task.limits.values())
+        excess: list[Any] = []
+        self._kept = {}
+        for name, constraint in task.constraints.items():
+            left = cast(Any, constraint).expr / self._sizes[name]
+            over = cp.Variable(left.shape, nonneg=True)
+            excess.append(cp.sum(over))
+            if isinstance(constraint, Equality):
+                under = cp.Variable(left.shape, nonneg=True)
+                excess.append(cp.sum(under))
+                self._kept[name] = left == over - under
+            else:
+                self._kept[name] = left <= over
+        self._excess = cp.sum(cp.hstack(excess)) if excess else cp.Constant(0.0)
+        curvature = 0.5 * cp.sum_squares(self._root @ task.step) if p else cp.Constant(0.0)
+        every = [*self._links, *hard, *self._kept.values()]
+        for with_objective in (True, False):
+            goal = self._expression / self._sizes[""] if with_objective else cp.Constant(0.0)
+            self._problems[with_objective] = cp.Problem(
+                cp.Minimize(goal + self._penalty * self._excess + curvature), every
+            )
+
+    def ask(
+        self, setting: FloatArray, linear: tuple[FloatArray, FloatArray], root: FloatArray, radius: float,
+        penalty: float,
+    ) -> Answer:  # fmt: skip
+        """Solve the convex problem about a setting; `linear` are the figures' values and slopes.
+
+        Raises
+        ------
+        SolverError
+        """
+        values, slopes = linear
+        if self.n_figures:
+            self._values.value, self._slopes.value = values, slopes
+        self._at.value, self._root.value, self._radius.value, self._penalty.value = setting, root, radius, penalty
+        problem = self._problems[self._weight > 0]
+        try:
+            with warnings.catch_warnings():
+                # cvxpy's warning of an inaccurate answer: what comes of it is checked against the cycle itself.
+                warnings.simplefilter("ignore", UserWarning)
+                problem.solve(solver=cp.CLARABEL, **TIGHT)
+        except CvxpySolverError as error:
+            raise SolverError(f"the solver failed: {error}", status="solver_error") from None
+        if problem.status in ("infeasible", "infeasible_inaccurate"):
+            raise SolverError(
+                "no setting within the bounds keeps the limits on pulses, pauses and variables: they contradict each "
+                "other",
+                status="infeasible",
+            )
+        if problem.status not in ("optimal", "optimal_inaccurate"):
+            raise SolverError(f"the solver ended with status {problem.status!r}", status=str(problem.status))
+        step = np.asarray(self.task.step.value, dtype=np.float64)
+        bent = 0.5 * float(np.sum((root @ step) ** 2))
+        return Answer(
+            step=step,
+            merit=float(cast(float, problem.value)) - bent,
+            curvature=bent,
+            figure_duals=-np.asarray(self._links[0].dual_value) if self.n_figures else np.zeros(0),
+            duals={name: np.asarray(kept.dual_value, dtype=np.float64) for name, kept in self._kept.items()},
+        )
+
+    def without_objective(self) -> None:
+        """From now on, only the constraints' violation counts."""
+        self._weight = 0.0
+
+    @property
+    def has_objective(self) -> bool:
+        """Whether the objective counts."""
+        return self._weight > 0
+
+    def user_duals(self, duals: Mapping[str, FloatArray]) -> dict[str, float]:
+        """Return the constraints' duals in the user's units, their sum where a constraint has several rows."""
+        size = self._sizes[""]
+        return {name: float(np.sum(dual)) * size / self._sizes[name] for name, dual in duals.items()}
+
+
+@final
+@dataclass(eq=False, kw_only=True)
+class Search:
+    """A convex problem, and where its figures come from."""
+
+    subproblem: Subproblem
+    evaluate: Callable[[FloatArray], list[BlockFigures]]
+    """From a setting, shares of the bounds, to the figures of every block."""
+    n_cycles: int = 0
+    n_failed: int = 0
+    reason: LtvpneuError | ValueError | None = None
+    """Why the last setting without a cycle has none."""
+
+    def figures(self, setting: FloatArray) -> list[BlockFigures] | None:
+        """Return the figures at a setting; None where a model has no cycle there."""
+        try:
+            found = self.evaluate(setting)
+        except (LtvpneuError, ValueError) as error:
+            self.n_failed += 1
+            self.reason = error
+            return None
+        self.n_cycles += 1
+        return found
+
+
+@final
+@dataclass(eq=False, kw_only=True)
+class Found:
+    """Where a search ended."""
+
+    setting: FloatArray
+    figures: list[BlockFigures]
+    status: str = "stopped"
+    residual: float = np.inf
+    duals: dict[str, float] = field(default_factory=dict[str, float])
+    active: tuple[str, ...] = ()
+    merits: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    n_cycles: int = 0
+    n_failed: int = 0
+
+
+def best_of(search: Search, own: FloatArray, count: int, progress: Progress | None) -> FloatArray:
+    """Return the setting of least merit among one's own and a Sobol sequence's, or an even grid of one or two."""
+    p, sub = own.size, search.subproblem
+    if p <= 2:
+        side = max(round(count ** (1 / p)), 1)
+        axis = (np.arange(side) + 0.5) / side
+        points = np.stack(np.meshgrid(*[axis] * p, indexing="ij"), axis=-1).reshape(-1, p)
+    else:
+        points = qmc.Sobol(p, rng=0).random(count) if count else np.zeros((0, p))
+    best: tuple[float, FloatArray] | None = None
+    candidates = [own, *points]
+    for number, setting in enumerate(candidates):
+        if progress is not None:
+            progress("looking at settings", number / len(candidates))
+        if not _within(sub.task, setting):
+            continue
+        figures = search.figures(setting)
+        if figures is None:
+            continue
+        if best is None:
+            sub.scale(setting, figures)
+        merit = sub.merit(setting, figures, FIRST_PENALTY)[0]
+        if best is None or merit < best[0]:
+            best = merit, setting
+    if best is None:
+        if search.reason is not None:
+            raise search.reason
+        return own
+    return best[1]
+
+
+def _within(task: Task, setting: FloatArray) -> bool:
+    """Whether a setting keeps the limits."""
+    task.setting.value = setting
+    return all(bool(np.all(_violation(limit) <= 1e-9)) for limit in task.limits.values())
+
+
+def converge(
+    search: Search, begin: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
+) -> Found:
+    """Go from a setting to a local optimum."""
+    sub = search.subproblem
+    begin = _projected(sub.task, begin)
+    figures = search.figures(begin)
+    if figures is None:
+        assert search.reason is not None
+        raise search.reason
+    sub.scale(begin, figures)
+    state = _State(search, Found(setting=begin, figures=figures), tolerance)
+    for number in range(max_iterations):
+        if progress is not None:
+            progress(f"step {number + 1}, residual {state.found.residual:.1e}", min(1.0, number / max_iterations))
+        if state.advance():
+            break
+    state.finish()
+    found = state.found
+    found.n_cycles, found.n_failed = search.n_cycles, search.n_failed
+    return found
+
+
+class _State:
+    """Where the iteration is."""
+
+    def __init__(self, search: Search, found: Found, tolerance: float) -> None:
+        self.search, self.sub, self.found, self.tolerance = search, search.subproblem, found, tolerance
+        p = found.setting.size
+        self.curvature, self.updated = FIRST_CURVATURE * np.eye(p), False
+        self.radius, self.penalty = FIRST_RADIUS, FIRST_PENALTY
+        self.linear = _stacked(found.figures, p)
+        self.merit, self.broken = self.sub.merit(found.setting, found.figures, self.penalty)
+
+    def advance(self) -> bool:
+        """Take or refuse one step; return whether the iteration is over."""
+        sub, found = self.sub, self.found
+        root: FloatArray = np.linalg.cholesky(self.curvature).T.astype(np.float64)
+        answer = sub.ask(found.setting, self.linear, root, self.radius, self.penalty)
+        foretold = self.merit - answer.merit - answer.curvature
+        if foretold <= ROUNDING or float(np.max(np.abs(answer.step))) <= 0.1 * self.tolerance:
+            if self._certified() or self.radius < 10 * SMALLEST_RADIUS:
+                return self._settled()
+            if foretold <= 1e-3 * ROUNDING:
+                return self._settled()
+        setting, figures = self._trial(answer)
+        taken = self._try(answer, setting, figures, foretold)
+        if not taken and figures is not None:
+            # Once more, with the figures' bend put right at the step's end (second-order correction).
+            values = np.concatenate([one.values for one in figures]) if figures else self.linear[0]
+            values = values - self.linear[1] @ (setting - found.setting)
+            again = sub.ask(found.setting, (values, self.linear[1]), root, self.radius, self.penalty)
+            taken = self._try(again, *self._trial(again), foretold)
+        if not taken:
+            self.radius = 0.25 * min(self.radius, float(np.max(np.abs(answer.step))))
+            if self.radius < SMALLEST_RADIUS:
+                self._certified()
+                return self._settled()
+        return False
+
+    def _trial(self, answer: Answer) -> tuple[FloatArray, list[BlockFigures] | None]:
+        setting = np.clip(self.found.setting + answer.step, 0.0, 1.0)
+        return setting, self.search.figures(setting)
+
+    def _try(self, answer: Answer, setting: FloatArray, figures: list[BlockFigures] | None, foretold: float) -> bool:
+        if figures is None:
+            return False
+        merit, broken = self.sub.merit(setting, figures, self.penalty)
+        fall = self.merit - merit
+        if not (fall >= LEAST_SHARE * foretold and fall > 0):
+            if not (foretold <= ROUNDING and abs(fall) <= ROUNDING):
+                return False
+            # Below what the cycle is computed to, the residual decides.
+            if self._residual(setting, figures)[0] >= self.found.residual:
+                return False
+        if fall > 0.7 * foretold and float(np.max(np.abs(answer.step))) > 0.9 * self.radius:
+            self.radius = min(2 * self.radius, LARGEST_RADIUS)
+        linear = _stacked(figures, setting.size)
+        self._bend(setting - self.found.setting, (linear[1] - self.linear[1]).T @ answer.figure_duals)
+        self.found.merits.append((self.merit, min(merit, self.merit)) if fall <= 0 else (self.merit, merit))
+        self.found.setting, self.found.figures = setting, figures
+        self.linear, self.merit, self.broken = linear, merit, broken
+        return True
+
+    def _bend(self, step: FloatArray, change: FloatArray) -> None:
+        """Damped BFGS update of the Lagrangian's curvature."""
+        along = float(step @ change)
+        if not self.updated and along > 0:
+            self.curvature = np.eye(step.size) * min(max(float(change @ change) / along, 1e-4), 1e4)
+            self.updated = True
+        bent = self.curvature @ step
+        size = float(step @ bent)
+        if size <= 1e-300:
+            return
+        if along < 0.2 * size:
+            share = 0.8 * size / (size - along)
+            change = share * change + (1 - share) * bent
+            along = float(step @ change)
+        new = self.curvature - np.outer(bent, bent) / size + np.outer(change, change) / along
+        lowest = float(np.min(np.linalg.eigvalsh(new)))
+        if np.isfinite(new).all():
+            self.curvature = (new + new.T) / 2 + max(1e-6 - lowest, 0.0) * np.eye(step.size)
+
+    def _residual(self, setting: FloatArray, figures: list[BlockFigures]) -> tuple[float, Answer]:
+        p = setting.size
+        answer = self.sub.ask(setting, _stacked(figures, p), np.eye(p), 1.0, self.penalty)
+        broken = self.sub.merit(setting, figures, self.penalty)[1]
+        room = self.sub.slack(setting, figures)
+        idle = max((float(np.max(np.abs(answer.duals[name] * room[name]), initial=0.0)) for name in room), default=0.0)
+        stationary = float(np.max(np.abs(answer.step), initial=0.0))
+        if self.sub.has_objective:
+            return max(stationary, broken, idle if broken <= FEASIBLE else 0.0), answer
+        return stationary, answer
+
+    def _certified(self) -> bool:
+        """Whether the present setting keeps the conditions of optimality; leaves the residual and the duals."""
+        found = self.found
+        found.residual, answer = self._residual(found.setting, found.figures)
+        found.duals = self.sub.user_duals(answer.duals)
+        found.active = tuple(
+            name for name, dual in answer.duals.items() if float(np.max(np.abs(dual), initial=0.0)) > ACTIVE
+        )
+        return found.residual <= self.tolerance
+
+    def _settled(self) -> bool:
+        """At a stationary point of the merit: over, or a higher penalty, or the constraints alone."""
+        if not self.sub.has_objective or self.broken <= max(FEASIBLE, self.tolerance):
+            return True
+        if self.penalty < LARGEST_PENALTY:
+            self.penalty = min(100 * self.penalty, LARGEST_PENALTY)
+        else:
+            self.sub.without_objective()
+            self.penalty = 1.0
+        self.radius = FIRST_RADIUS
+        self.merit, self.broken = self.sub.merit(self.found.setting, self.found.figures, self.penalty)
+        return False
+
+    def finish(self) -> None:
+        """Set the status."""
+        found = self.found
+        ok = self._certified()
+        if self.broken > max(FEASIBLE, self.tolerance):
+            found.status = "infeasible" if not self.sub.has_objective and ok else "stopped"
+        else:
+            found.status = "optimal" if ok and self.sub.has_objective else "stopped"
+
+
+def _projected(task: Task, setting: FloatArray) -> FloatArray:
+    """Return the setting nearest to one that keeps the limits."""
+    if _within(task, setting):
+        return setting
+    problem = cp.Problem(
+        cp.Minimize(cp.sum_squares(task.setting - setting)),
+        [task.setting >= 0, task.setting <= 1, *task.limits.values()],
+    )
+    problem.solve(solver=cp.CLARABEL)
+    if problem.status not in ("optimal", "optimal_inaccurate"):
+        raise ValueError(
+            f"limits: no setting within the bounds keeps {', '.join(task.limits)}; they contradict each other"
+        )
+    return np.clip(np.asarray(task.setting.value, dtype=np.float64), 0.0, 1.0)
+
+
+def _stacked(figures: Sequence[BlockFigures], p: int) -> tuple[FloatArray, FloatArray]:
+    if not figures:
+        return np.zeros(0), np.zeros((0, p))
+    return np.concatenate([one.values for one in figures]), np.vstack([one.jacobian for one in figures])
+
+
+def _violation(constraint: Any) -> FloatArray:
+    value = np.atleast_1d(np.asarray(constraint.expr.value, dtype=np.float64))
+    return np.abs(value) if isinstance(constraint, Equality) else np.maximum(value, 0.0)
+
+
+def _dense(gradient: Mapping[Any, Any], variable: cp.Variable) -> FloatArray:
+    """Return a gradient that cvxpy gives, sparse, scalar or none at all, as (n_variable, n_expression)."""
+    part = gradient.get(variable)
+    if part is None:
+        return np.zeros((variable.size, 1))
+    whole = part.toarray() if hasattr(part, "toarray") else part
+    return np.asarray(whole, dtype=np.float64).reshape(variable.size, -1)
+
+
+def _number(expression: Any) -> float:
+    return float(np.asarray(expression.value))
