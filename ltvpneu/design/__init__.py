@@ -2,17 +2,19 @@
 
 from ltvpneu.design.air_use import air_use, with_air_use
 from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box
+from ltvpneu.design.duty_cycle import optimize_duty
 from ltvpneu.design.duty_map import DutyMap, duty_map
 from ltvpneu.design.duty_problem import DutyProblem, DutySolution, LinearizedCycle, duty_problem
 from ltvpneu.design.feedback import (
     ClosedLoop,
     Measurement,
     PositionController,
-    ValveLimits,
     duty_model,
     simulate_closed_loop,
 )
 from ltvpneu.design.forcing import ForcingProblem, ForcingSolution, forcing_problem
+from ltvpneu.design.pattern import PatternSolution, optimize_pattern
+from ltvpneu.design.valve_limits import ValveLimits
 
 __all__ = [
     "Certificate",
@@ -24,6 +26,7 @@ __all__ = [
     "ForcingSolution",
     "LinearizedCycle",
     "Measurement",
+    "PatternSolution",
     "PositionController",
     "ValveLimits",
     "air_use",
@@ -33,6 +36,8 @@ __all__ = [
     "duty_problem",
     "forcing_problem",
     "operating_box",
+    "optimize_duty",
+    "optimize_pattern",
     "simulate_closed_loop",
     "with_air_use",
 ]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite, finite_array, positive, whole
+from ltvpneu.design.global_search import search_globally
 from ltvpneu.design.sequential import (
     BlockFigures,
     FigureBlock,
@@ -28,6 +29,7 @@ from ltvpneu.design.sequential import (
     converge,
 )
 from ltvpneu.design.solving import Constraints, named_constraints
+from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycle_figures import CycleFigures, Figure, LinearCycles
 from ltvpneu.models.linearize import LtvModel
@@ -65,6 +67,12 @@ class LinearizedCycle:
     def __init__(self, name: str, machine: Machine, blocks: list[FigureBlock], scales: dict[str, float]) -> None:
         self.name, self.machine, self._blocks, self._scales = name, machine, blocks, scales
         self._known: dict[tuple[object, ...], cp.Expression] = {}
+
+    def size(self, signal: str) -> float:
+        """Return the size by which changes of a signal are judged, in its own unit."""
+        if signal != "air_use":
+            self._state(signal)
+        return self._scales[signal]
 
     def mean(self, signal: str) -> cp.Expression:
         """Return a state's time mean."""
@@ -158,12 +166,17 @@ class DutySolution:
     """As designed."""
     frequency: float
     """[Hz]"""
+    commands: tuple[tuple[float, float], ...]
+    """When to tell the valve to go on and off, each pulse, delays counted in [s]; below zero, in the period before."""
     model: LtvModel | None
     """The linear model designed on, if it was one."""
     nonlinear: dict[str, Orbit | str]
     """Cycle of the nonlinear machine in every scenario, or why it has none."""
     lower_bound: float = math.nan
-    """Of the objective over all settings, where the search was global; see `search_globally`."""
+    """Where the search was global: no setting makes the objective better, as far as the estimated curvature between the
+    settings looked at holds; see `global_search`."""
+    corrected: "DutySolution | None" = None
+    """The same problem solved from here on the nonlinear machine, where that was asked for."""
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name} {value:.6g}" for name, value in self.values.items())
@@ -190,9 +203,14 @@ class DutyProblem:
     """
 
     def __init__(
-        self, machine: Machine, frequency: float, bounds: dict[str, Bounds], scenarios: Mapping[str, Scenario]
+        self,
+        machine: Machine,
+        frequency: float,
+        bounds: dict[str, Bounds],
+        scenarios: Mapping[str, Scenario],
+        valve: ValveLimits,
     ) -> None:
-        self.machine, self.frequency, self.bounds = machine, frequency, bounds
+        self.machine, self.frequency, self.bounds, self.valve = machine, frequency, bounds, valve
         self._changes = scenarios
         self._step = cp.Variable(len(bounds))
         self._setting = cp.Variable(len(bounds))
@@ -286,8 +304,6 @@ class DutyProblem:
         cycles = self._cycles(model, steps_per_position)
         search = Search(subproblem=subproblem, evaluate=lambda setting: self._evaluate(cycles, setting))
         if globally:
-            from ltvpneu.design.global_search import search_globally
-
             found, lower = search_globally(search, tolerance, max_iterations, progress)
         else:
             begin = self._start(search, start, n_starts, progress)
@@ -382,10 +398,16 @@ class DutyProblem:
             spectral_radius=max((figures.cycle.spectral_radius for figures in found.figures), default=math.nan),
             machine=machine,
             frequency=frequency,
+            commands=self._commands(machine, frequency),
             model=nominal.cycle(values).model if isinstance(nominal, LinearCycles) else None,
             nonlinear=orbits,
             lower_bound=lower,
         )
+
+    def _commands(self, machine: Machine, frequency: float) -> tuple[tuple[float, float], ...]:
+        edges = [edge / (2 * math.pi * frequency) for edge in pulse_edges(machine)]
+        pairs = zip(edges[::2], edges[1::2], strict=True)
+        return tuple((on - self.valve.opening_delay, off - self.valve.closing_delay) for on, off in pairs)
 
     def _at_bounds(self, setting: FloatArray) -> tuple[str, ...]:
         names: list[str] = []
@@ -401,8 +423,7 @@ def duty_problem(
     variables: Mapping[str, Bounds] | None = None,
     *,
     scenarios: Mapping[str, Scenario] | None = None,
-    shortest_on: float = 0.0,
-    shortest_off: float = 0.0,
+    valve: ValveLimits | None = None,
 ) -> DutyProblem:
     """Return a machine's switching as variables of a design problem.
 
@@ -417,8 +438,9 @@ def duty_problem(
         `parameter_sensitivity`. By default the duty, or, of a machine with several pulses, all edges but the first.
     scenarios : mapping of str to callable, optional
         Each takes the machine to what it may be instead: lower supply pressure, more friction, another load.
-    shortest_on, shortest_off : float
-        Least time that the valve is open, and shut, in one piece [s].
+    valve : ValveLimits, optional
+        Shortest commands, and delays: angles and duty are those at which the valve is open, `DutySolution.commands`
+        what it has to be told.
 
     Returns
     -------
@@ -441,7 +463,7 @@ def duty_problem(
     >>> print(f"{found.values['duty']:.3f} {1e3 * found.nonlinear['nominal'].mean('position'):.1f} mm")
     0.479 44.8 mm
     """
-    on, off = finite("shortest_on", shortest_on, "s"), finite("shortest_off", shortest_off, "s")
+    valve = ValveLimits() if valve is None else valve
     is_free = isinstance(frequency, tuple)
     bounds = dict(_default_variables(machine) if variables is None else variables)
     if isinstance(frequency, tuple):
@@ -453,8 +475,8 @@ def duty_problem(
         raise ValueError("variables: found none, expected at least one")
     for name, pair in bounds.items():
         _check_bounds(machine, present, name, pair)
-    problem = DutyProblem(machine, present, bounds, dict(scenarios or {}))
-    problem.limits.update(_pulse_limits(problem, (on, off), is_free))
+    problem = DutyProblem(machine, present, bounds, dict(scenarios or {}), valve)
+    problem.limits.update(_pulse_limits(problem, is_free))
     return problem
 
 
@@ -490,20 +512,21 @@ def _check_bounds(machine: Machine, frequency: float, name: str, pair: Any) -> N
                 raise ValueError(f"variables: found {value:g} for {name!r}: {error}") from None
 
 
-def _pulse_limits(problem: DutyProblem, shortest: Bounds, is_free: bool) -> dict[str, cp.Constraint]:
-    """Return constraints that keep pulses and pauses as long as asked for, and the edges in order."""
-    variables, machine = problem.variables, problem.machine
+def _pulse_limits(problem: DutyProblem, is_free: bool) -> dict[str, cp.Constraint]:
+    """Return constraints that keep commanded pulses and pauses long enough, and the edges in order."""
+    variables, machine, valve = problem.variables, problem.machine, problem.valve
     frequency = variables["frequency"] if is_free else cp.Constant(problem.frequency)
-    fastest = problem.bounds["frequency"][1] if is_free else problem.frequency
     slowest = problem.bounds["frequency"][0] if is_free else problem.frequency
-    if sum(shortest) * slowest > 1:
+    if (valve.shortest_on + valve.shortest_off) * slowest > 1:
         raise ValueError(
-            f"shortest_on, shortest_off: found {shortest[0]:g} s and {shortest[1]:g} s, more than a period of "
-            f"{1 / slowest:g} s; expected shorter ones, or a lower frequency"
+            f"valve: found shortest times of {valve.shortest_on:g} s on and {valve.shortest_off:g} s off, more than a "
+            f"period of {1 / slowest:g} s; expected shorter ones, or a lower frequency"
         )
-    on, off = (max(time * fastest, LEAST_WIDTH) if not is_free else time for time in shortest)
-    least_on = cp.maximum(on * frequency, LEAST_WIDTH) if is_free else cp.Constant(on)
-    least_off = cp.maximum(off * frequency, LEAST_WIDTH) if is_free else cp.Constant(off)
+    # Open times, less by the lag than what is commanded.
+    least_on, least_off = (
+        cp.maximum(time * frequency, LEAST_WIDTH)
+        for time in (valve.shortest_on - valve.lag, valve.shortest_off + valve.lag)
+    )
     found: dict[str, cp.Constraint] = {}
     if "duty" in variables:
         found["shortest pulse"] = variables["duty"] >= least_on

@@ -14,6 +14,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, finite_array, not_negative, positive, read_only, whole
 from ltvpneu.design.duty_map import DutyMap
+from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.models.integrator import OK, integrate_period
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear import (
@@ -137,7 +138,7 @@ class ClosedLoop:
     commands: FloatArray
     """Duties that the controller asked for."""
     duties: FloatArray
-    """Duties that the valve made of them: late by the delay, within the shortest pulses."""
+    """Shares of the period that the valve was open: late by the delay, within the shortest pulses, its own lag off."""
     n_held_back: int
     """Periods in which the valve could not make what was asked for."""
     response: "control.TimeResponseData"
@@ -228,7 +229,7 @@ def simulate_closed_loop(
     reference: float | Sequence[float] | FloatArray,
     frequency: float,
     *,
-    valve: "ValveLimits | None" = None,
+    valve: ValveLimits | None = None,
     initial_state: Sequence[float] | FloatArray | None = None,
 ) -> ClosedLoop:
     """Simulate the nonlinear machine, every switch hit, under a controller that sets the duty each period.
@@ -276,8 +277,9 @@ def simulate_closed_loop(
         commands[number] = finite(f"controller: at {number * period:g} s", float(cast(Controller, law)(measured)))
         late = number - valve.delay
         asked = float(commands[late]) if late >= 0 else machine.duty
-        duties[number] = min(max(asked, least), most)
-        n_held += duties[number] != asked
+        made = min(max(asked, least), most)
+        n_held += made != asked
+        duties[number] = valve.open_share(made, frequency)
         present = machine.with_duty(float(duties[number]))
         schedule = schedule_of(present, period)
         outcome = integrate_period(state, Run(schedule, present.arrays, settings), True)
@@ -303,34 +305,6 @@ def simulate_closed_loop(
         n_held_back=int(n_held),
         response=bridge.time_response(np.concatenate(times), names, names, machine.name),
     )
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class ValveLimits:
-    """What the valve can make of a command."""
-
-    shortest_on: float = 0.0
-    """[s]"""
-    shortest_off: float = 0.0
-    """[s]"""
-    delay: int = 0
-    """Whole periods between a measurement and the period whose duty it sets."""
-
-    def __post_init__(self) -> None:
-        not_negative("shortest_on", self.shortest_on, "s")
-        not_negative("shortest_off", self.shortest_off, "s")
-        whole("delay", self.delay, 0)
-
-    def duties(self, frequency: float) -> tuple[float, float]:
-        """Return the least and the greatest duty at a frequency."""
-        least, most = self.shortest_on * frequency, 1 - self.shortest_off * frequency
-        if least > most:
-            raise ValueError(
-                f"valve: found shortest times of {self.shortest_on:g} s on and {self.shortest_off:g} s off, more than "
-                f"a period of {1 / frequency:g} s; choose a lower frequency"
-            )
-        return least, most
 
 
 def _is_system(controller: object) -> bool:

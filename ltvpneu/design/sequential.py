@@ -66,7 +66,7 @@ class BlockFigures:
 
     @cached_property
     def jacobian(self) -> FloatArray:
-        """(n_figures, n_variables)"""
+        """Slopes of the figures over the settings, (n_figures, n_variables)."""
         return self.cycle.jacobian[self._rows] * self._widths / self._scale
 
 
@@ -163,7 +163,9 @@ class Subproblem:
     # -----------------------------------------------------------------------------------------------------
 
     def scale(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> None:
-        """Set the sizes of objective and constraints from their slopes at a first point, and build the problem."""
+        """Set the sizes of objective and constraints from their slopes at the first point, and build the problem."""
+        if self._sizes:
+            return
         self.put(setting, figures)
         slopes = np.vstack([one.jacobian for one in figures]) if figures else np.zeros((0, self.n_variables))
         self._sizes = {"": max(self._size(self._expression, slopes), 1e-300)}
@@ -206,7 +208,7 @@ class Subproblem:
         curvature = 0.5 * cp.sum_squares(self._root @ task.step) if p else cp.Constant(0.0)
         every = [*self._links, *hard, *self._kept.values()]
         for with_objective in (True, False):
-            goal = self._expression / self._sizes[""] if with_objective else cp.Constant(0.0)
+            goal = self.goal if with_objective else cp.Constant(0.0)
             self._problems[with_objective] = cp.Problem(
                 cp.Minimize(goal + self._penalty * self._excess + curvature), every
             )
@@ -254,6 +256,19 @@ class Subproblem:
     def without_objective(self) -> None:
         """From now on, only the constraints' violation counts."""
         self._weight = 0.0
+
+    def restore(self) -> None:
+        """From now on, the objective counts again."""
+        self._weight = 1.0
+
+    @property
+    def goal(self) -> Any:
+        """The objective, scaled, to be made small."""
+        return self._expression / self._sizes[""]
+
+    def in_user_units(self, value: float) -> float:
+        """Return a scaled objective in the user's unit."""
+        return self.sign * value * self._sizes[""]
 
     @property
     def has_objective(self) -> bool:
@@ -375,7 +390,7 @@ class _State:
         p = found.setting.size
         self.curvature, self.updated = FIRST_CURVATURE * np.eye(p), False
         self.radius, self.penalty = FIRST_RADIUS, FIRST_PENALTY
-        self.linear = _stacked(found.figures, p)
+        self.linear = stacked(found.figures, p)
         self.merit, self.broken = self.sub.merit(found.setting, found.figures, self.penalty)
 
     def advance(self) -> bool:
@@ -421,7 +436,7 @@ class _State:
                 return False
         if fall > 0.7 * foretold and float(np.max(np.abs(answer.step))) > 0.9 * self.radius:
             self.radius = min(2 * self.radius, LARGEST_RADIUS)
-        linear = _stacked(figures, setting.size)
+        linear = stacked(figures, setting.size)
         self._bend(setting - self.found.setting, (linear[1] - self.linear[1]).T @ answer.figure_duals)
         self.found.merits.append((self.merit, min(merit, self.merit)) if fall <= 0 else (self.merit, merit))
         self.found.setting, self.found.figures = setting, figures
@@ -449,7 +464,7 @@ class _State:
 
     def _residual(self, setting: FloatArray, figures: list[BlockFigures]) -> tuple[float, Answer]:
         p = setting.size
-        answer = self.sub.ask(setting, _stacked(figures, p), np.eye(p), 1.0, self.penalty)
+        answer = self.sub.ask(setting, stacked(figures, p), np.eye(p), 1.0, self.penalty)
         broken = self.sub.merit(setting, figures, self.penalty)[1]
         room = self.sub.slack(setting, figures)
         idle = max((float(np.max(np.abs(answer.duals[name] * room[name]), initial=0.0)) for name in room), default=0.0)
@@ -462,7 +477,7 @@ class _State:
         """Whether the present setting keeps the conditions of optimality; leaves the residual and the duals."""
         found = self.found
         found.residual, answer = self._residual(found.setting, found.figures)
-        found.duals = self.sub.user_duals(answer.duals)
+        found.duals = self.sub.user_duals(answer.duals) if self.sub.has_objective else {}
         found.active = tuple(
             name for name, dual in answer.duals.items() if float(np.max(np.abs(dual), initial=0.0)) > ACTIVE
         )
@@ -507,7 +522,8 @@ def _projected(task: Task, setting: FloatArray) -> FloatArray:
     return np.clip(np.asarray(task.setting.value, dtype=np.float64), 0.0, 1.0)
 
 
-def _stacked(figures: Sequence[BlockFigures], p: int) -> tuple[FloatArray, FloatArray]:
+def stacked(figures: Sequence[BlockFigures], p: int) -> tuple[FloatArray, FloatArray]:
+    """Return values and slopes of all blocks, one after the other, over p settings."""
     if not figures:
         return np.zeros(0), np.zeros((0, p))
     return np.concatenate([one.values for one in figures]), np.vstack([one.jacobian for one in figures])
