@@ -2,7 +2,7 @@
 
 from ltvpneu.design.air_use import air_use, with_air_use
 from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box
-from ltvpneu.design.duty_cycle import optimize_duty
+from ltvpneu.design.duty_cycle import Goals, optimize_duty
 from ltvpneu.design.duty_map import DutyMap, duty_map
 from ltvpneu.design.duty_problem import DutyProblem, DutySolution, LinearizedCycle, duty_problem
 from ltvpneu.design.feedback import (
@@ -24,6 +24,7 @@ __all__ = [
     "DutySolution",
     "ForcingProblem",
     "ForcingSolution",
+    "Goals",
     "LinearizedCycle",
     "Measurement",
     "PatternSolution",

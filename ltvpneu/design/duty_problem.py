@@ -170,6 +170,8 @@ class DutySolution:
     """When to tell the valve to go on and off, each pulse, delays counted in [s]; below zero, in the period before."""
     model: LtvModel | None
     """The linear model designed on, if it was one."""
+    scenario_machines: dict[str, Machine]
+    """As designed, in every scenario."""
     nonlinear: dict[str, Orbit | str]
     """Cycle of the nonlinear machine in every scenario, or why it has none."""
     lower_bound: float = math.nan
@@ -400,6 +402,7 @@ class DutyProblem:
             frequency=frequency,
             commands=self._commands(machine, frequency),
             model=nominal.cycle(values).model if isinstance(nominal, LinearCycles) else None,
+            scenario_machines={name: with_values(cycle.machine, values) for name, cycle in self.scenarios.items()},
             nonlinear=orbits,
             lower_bound=lower,
         )

@@ -1,16 +1,19 @@
-"""The command line: `ltvpneu study`, `ltvpneu stability` and `ltvpneu sweep`."""
+"""The command line: `ltvpneu study`, `ltvpneu stability`, `ltvpneu optimize` and `ltvpneu sweep`."""
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.machine_file import bundled_machines, load_machine
+from ltvpneu.face.optimize import optimum_text, parse_request, run_request, write_optimum
 from ltvpneu.face.report import LABELS, multipliers_text, study_text, table
 from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
 from ltvpneu.face.study_data import study_data
@@ -75,6 +78,14 @@ def _parser() -> argparse.ArgumentParser:
     _add_design(stability)
     stability.set_defaults(run=_stability)
 
+    optimize = commands.add_parser(
+        "optimize",
+        help="find duty, frequency or angles for a wanted motion; exit 0 found, 1 not reachable, 2 bad input",
+    )
+    optimize.add_argument("machine", nargs="?", default="kunt_singh_1990", metavar="MACHINE", help=machine_help)
+    _add_goals(optimize)
+    optimize.set_defaults(run=_optimize)
+
     sweep = commands.add_parser(
         "sweep", help="map duty and frequency: stiction bands, subharmonics, and how far off the LTV model is"
     )
@@ -92,6 +103,53 @@ def _parser() -> argparse.ArgumentParser:
     _add_model(sweep, "fitted")
     sweep.set_defaults(run=_sweep)
     return parser
+
+
+def _add_goals(parser: argparse.ArgumentParser) -> None:
+    several: dict[str, Any] = {"action": "append", "default": [], "metavar": "NAME=VALUE"}
+    parser.add_argument(
+        "--frequency", nargs=1, required=True, metavar="HZ", help="valve frequency, such as 20, or its bounds, 10..30"
+    )
+    parser.add_argument("--mean", **several, help="time mean of a state, such as position=45mm or position=40mm..50mm")
+    parser.add_argument(
+        "--max", **several, help="upper bounds, such as amplitude=2mm, pressure_1=3.5bar or air_use=2g/s"
+    )
+    parser.add_argument("--min", **several, help="lower bounds of states, such as position=10mm")
+    parser.add_argument(
+        "--minimize", default="amplitude",
+        help="amplitude, air_use, mean_error or switching (default: amplitude)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--free", **several,
+        help="what may be changed, such as duty=0.1..0.9 or supply_pressure=3bar..6bar (default: the duty)",
+    )  # fmt: skip
+    parser.add_argument("--scenario", **several, help="what has to be borne too, such as supply_pressure=-10%%")
+    parser.add_argument("--pulses", type=int, default=1, metavar="N", help="pulses a period (default: 1)")
+    for name, text in (
+        ("shortest-on", "shortest command on"), ("shortest-off", "shortest command off"),
+        ("opening-delay", "delay of opening"), ("closing-delay", "delay of closing"),
+    ):  # fmt: skip
+        parser.add_argument(f"--{name}", type=float, default=0.0, metavar="MS", help=f"{text} [ms]")
+    parser.add_argument(
+        "--model", choices=("fitted", "self-consistent"), default="fitted", help="linear model (default: fitted)"
+    )
+    parser.add_argument("--global", dest="globally", action="store_true", help="search all of one or two settings")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for optimum.json and a picture")
+
+
+def _optimize(options: argparse.Namespace) -> int:
+    machine = load_machine(options.machine)
+    if options.pulses < 1:
+        raise ValueError(f"--pulses: found {options.pulses}, expected 1 or more")
+    if options.pulses > 1:
+        turn = 2 * math.pi / options.pulses
+        machine = machine.with_pulses([(i * turn, (i + machine.duty) * turn) for i in range(options.pulses)])
+    found = run_request(machine, parse_request(machine, options), model=options.model, globally=options.globally)
+    print(f"{machine.name}\n{optimum_text(found)}")
+    if options.out is not None:
+        _make(options.out)
+        print("\nwritten:", *(f"  {path}" for path in write_optimum(found, options.out)), sep="\n")
+    return 0 if found.status == "optimal" else 1
 
 
 def _add_design(parser: argparse.ArgumentParser) -> None:

@@ -5,7 +5,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ltvpneu.design.duty_map import DutyMap
+from ltvpneu.design.duty_problem import DutySolution
 from ltvpneu.design.feedback import ClosedLoop
+from ltvpneu.design.pattern import PatternSolution
+from ltvpneu.models.machine import Machine
+from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.steady import steady_state
 
 PALETTE = mpl.color_sequences["petroff10"]
 MARKERS = "osD^vP*X"
@@ -17,6 +22,10 @@ def draw_design(result: object) -> Figure | None:
         return draw_duty_map(result)
     if isinstance(result, ClosedLoop):
         return draw_closed_loop(result)
+    if isinstance(result, DutySolution):
+        return draw_optimum(result)
+    if isinstance(result, PatternSolution):
+        return draw_pattern(result)
     return None
 
 
@@ -68,4 +77,55 @@ def draw_closed_loop(done: ClosedLoop) -> Figure:
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
+    return figure
+
+
+def draw_optimum(found: DutySolution) -> Figure:
+    """Position over the period: the linear model it was designed on, and the nonlinear machine in every scenario."""
+    orbits: dict[str, Orbit | str] = {}
+    if found.model is not None:
+        orbits["linear model"] = found.model.orbit
+    orbits |= {f"nonlinear{'' if name == 'nominal' else ', ' + name}": o for name, o in found.nonlinear.items()}
+    if found.corrected is not None:
+        orbits["nonlinear, corrected"] = found.corrected.nonlinear["nominal"]
+    settings = ", ".join(f"{name} {value:.4g}" for name, value in found.values.items())
+    title = f"{found.machine.name} at {found.frequency:.4g} Hz: {settings} ({found.status})"
+    return _cycles_and_openings(orbits, found.machine, found.frequency, title)
+
+
+def draw_pattern(found: PatternSolution) -> Figure:
+    """Position over the period on the linear model and the nonlinear machine; below, the slots."""
+    if found.system is None or found.machine is None:
+        raise TypeError("plot: found an infeasible pattern, which has no picture")
+    orbits: dict[str, Orbit | str] = {
+        "linear model": steady_state(found.system),
+        "nonlinear": found.nonlinear,
+    }
+    title = f"{found.machine.name} at {found.frequency:.4g} Hz: {found.pattern.size} slots, {found.n_pulses} pulses"
+    return _cycles_and_openings(orbits, found.machine, found.frequency, title)
+
+
+def _cycles_and_openings(orbits: dict[str, Orbit | str], machine: Machine, frequency: float, title: str) -> Figure:
+    figure = Figure(figsize=(7, 5), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[4, 1])
+    times = np.linspace(0.0, 1 / frequency, 600)
+    for number, (name, orbit) in enumerate(orbits.items()):
+        if isinstance(orbit, str):
+            continue
+        style = {"color": PALETTE[number % len(PALETTE)], "linestyle": ["-", "--", ":", "-."][number % 4]}
+        label = f"{name}: mean {1e3 * orbit.mean(0):.1f} mm, amplitude {1e3 * orbit.amplitude(0):.2f} mm"
+        upper.plot(1e3 * times, 1e3 * orbit.at(times)[0], label=label, **style)
+    on = machine.valve.on_window().profile
+    angles = np.linspace(0.0, 2 * np.pi, 1200, endpoint=False)
+    lower.fill_between(
+        1e3 * angles / (2 * np.pi * frequency), [on.at(float(angle)) for angle in angles], color=PALETTE[0], alpha=0.4,
+        step="post",
+    )  # fmt: skip
+    upper.set_ylabel("position [mm]")
+    lower.set_ylabel("valve on")
+    lower.set_yticks([0, 1])
+    lower.set_xlabel("time [ms]")
+    upper.set_title(title, fontsize=10)
+    upper.legend(fontsize=8)
+    upper.grid(alpha=0.3)
     return figure

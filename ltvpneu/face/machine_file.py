@@ -103,7 +103,7 @@ def load_machine(source: str | Path) -> Machine:
     name = str(source)
     if name not in bundled_machines():
         raise MachineFileError(
-            f"{name}: found neither a file nor a bundled machine{_nearest(name, bundled_machines())}; bundled: "
+            f"{name}: found neither a file nor a bundled machine{nearest(name, bundled_machines())}; bundled: "
             f"{', '.join(bundled_machines())}; a file's name ends in .toml"
         )
     text = (resources.files("ltvpneu") / "machines" / f"{name}.toml").read_text(encoding="utf-8")
@@ -217,11 +217,11 @@ def _table(data: object, keys: Mapping[str, Key], file: str, where: str) -> dict
     for key in data:
         if key not in keys:
             raise MachineFileError(
-                f"{file}: {prefix}{key}: unknown key{_nearest(key, tuple(keys))}; expected {', '.join(keys)}"
+                f"{file}: {prefix}{key}: unknown key{nearest(key, tuple(keys))}; expected {', '.join(keys)}"
             )
     for key, spec in keys.items():
         if spec.required and key not in data:
-            close = _nearest(key, tuple(k for k in data if k not in keys))
+            close = nearest(key, tuple(k for k in data if k not in keys))
             raise MachineFileError(f"{file}: {prefix}{key}: missing{close}, expected {_kind_name(spec.kind)}")
     return {key: _entry(value, keys[key].kind, file, f"{prefix}{key}") for key, value in data.items()}
 
@@ -255,7 +255,8 @@ def _build(
         raise MachineFileError(f"{file}: {where + '.' if where else ''}{message}") from error
 
 
-def _nearest(name: str, known: tuple[str, ...]) -> str:
+def nearest(name: str, known: tuple[str, ...]) -> str:
+    """Return a hint at the name that is most like a wrong one, or nothing."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     return f", did you mean {close[0]!r}?" if close else ""
 

@@ -1,0 +1,329 @@
+"""`ltvpneu optimize`: goals from the command line, the design, its tables, JSON and pictures."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+from tqdm import tqdm
+
+from ltvpneu.face.machine_file import nearest
+from ltvpneu.face.report import heading, shown, table
+from ltvpneu.face.units import Dimension, parse
+from ltvpneu.models.machine import Machine
+from ltvpneu.periodic.orbit import Orbit
+
+if TYPE_CHECKING:
+    from ltvpneu.design import DutySolution
+
+Bounds = tuple[float, float]
+DIMENSIONS: dict[str, Dimension] = {
+    "duty": "number", "frequency": "number", "offset_angle": "angle", "supply_pressure": "pressure",
+    "exhaust_pressure": "pressure", "load.force": "force", "load.mass": "mass", "load.dry_friction": "force",
+    "load.stiction": "force", "load.spring_stiffness": "stiffness", "load.viscous_damping": "damping",
+    "position": "length", "amplitude": "length",
+}  # fmt: skip
+"""Of what the options name; pressures of chambers too, all else is a plain number in SI units."""
+
+
+class Request(NamedTuple):
+    """What was asked for, parsed."""
+
+    frequency: float | Bounds
+    variables: dict[str, Bounds] | None
+    mean: dict[str, float | tuple[float | None, float | None]]
+    amplitude: dict[str, float]
+    maximum: dict[str, float]
+    minimum: dict[str, float]
+    air_use: float | None
+    minimize: str
+    scenarios: dict[str, dict[str, float]]
+    """Name to factors by parameter."""
+    valve: dict[str, float]
+
+
+def parse_request(machine: Machine, options: Any) -> Request:
+    """Return the goals that the options name.
+
+    Raises
+    ------
+    ValueError
+        With the option, what was found and what was expected.
+    """
+    mean: dict[str, float | tuple[float | None, float | None]] = {}
+    for text in options.mean:
+        name, value = _named("--mean", text, machine.states)
+        mean[name] = _range("--mean", name, value) if ".." in value else _quantity("--mean", name, value)
+    amplitude, maximum = dict[str, float](), dict[str, float]()
+    air_use: float | None = None
+    for text in options.max:
+        name, value = _named("--max", text, ("amplitude", "air_use", *machine.states))
+        if name == "amplitude":
+            amplitude["position"] = _quantity("--max", name, value)
+        elif name == "air_use":
+            air_use = 1e-3 * float(_plain("--max", name, re.sub(r"\s*g/s$", "", value)))
+        else:
+            maximum[name] = _quantity("--max", name, value)
+    minimum = dict[str, float]()
+    for text in options.min:
+        name, value = _named("--min", text, machine.states)
+        minimum[name] = _quantity("--min", name, value)
+    variables: dict[str, Bounds] = {}
+    for text in options.free:
+        name, value = _named("--free", text, ())
+        variables[name] = _range("--free", name, value)
+    scenarios: dict[str, dict[str, float]] = {}
+    for text in options.scenario:
+        name, value = _named("--scenario", text, ())
+        match = re.fullmatch(r"([+-]\d+\.?\d*)\s*%", value.strip())
+        if match is None:
+            raise ValueError(f"--scenario {text}: found {value!r}, expected a change such as -10%")
+        scenarios[f"{name} {value}"] = {name: 1 + float(match[1]) / 100}
+    valve = {
+        name: 1e-3 * getattr(options, name)
+        for name in ("shortest_on", "shortest_off", "opening_delay", "closing_delay")
+        if getattr(options, name)
+    }
+    frequency = _frequency(options.frequency)
+    return Request(
+        frequency, variables or None, mean, amplitude, maximum, minimum, air_use, options.minimize, scenarios, valve
+    )
+
+
+def run_request(machine: Machine, request: Request, *, model: Any, globally: bool) -> "DutySolution":
+    """Solve, with a progress bar."""
+    # A lazy door: cvxpy takes a second to load, and no other command needs it.
+    from ltvpneu import design
+    from ltvpneu.models.parameters import present_value, with_values
+
+    at = request.frequency[0] if isinstance(request.frequency, tuple) else request.frequency
+
+    def scenario(factors: Mapping[str, float]) -> Any:
+        for name in factors:
+            present_value(machine, at, name)
+        return lambda one: with_values(one, {n: k * present_value(one, at, n) for n, k in factors.items()})
+
+    with tqdm(total=1.0, desc="optimize", leave=False, bar_format="{desc} |{bar}| {elapsed}") as bar:
+
+        def progress(text: str, share: float) -> None:
+            bar.set_description_str(f"optimize: {text}", refresh=False)
+            bar.update(share - bar.n)
+
+        goals = design.Goals(
+            mean=request.mean, amplitude=request.amplitude, maximum=request.maximum, minimum=request.minimum,
+            air_use=request.air_use,
+        )  # fmt: skip
+        return design.optimize_duty(
+            machine,
+            request.frequency,
+            request.variables,
+            minimize=request.minimize,
+            goals=goals,
+            scenarios={name: scenario(factors) for name, factors in request.scenarios.items()},
+            valve=design.ValveLimits(**cast(dict[str, Any], request.valve)),
+            model=model,
+            globally=globally,
+            correct=True,
+            progress=progress,
+        )
+
+
+def optimum_text(found: "DutySolution") -> str:
+    """Return the tables of an optimum."""
+    parts = [heading("Optimum")]
+    said = {
+        "optimal": "optimal: every goal is kept, and no small change does better",
+        "infeasible": "infeasible: no setting near keeps every goal; this one comes nearest",
+        "stopped": "stopped before the residual was small: look at the figures, try other bounds or starts",
+    }
+    corrected = found.corrected
+    columns = [("linear model", found)] + ([("corrected on the nonlinear model", corrected)] if corrected else [])
+    for name, one in columns:
+        parts.append(f"{name}: {said[one.status]} (residual {one.residual:.1e})")
+    if not np.isnan(found.lower_bound):
+        parts.append(
+            f"global search: no setting gets the objective below {found.lower_bound:.6g} ({found.objective:.6g})"
+        )
+    if found.n_failed:
+        parts.append(f"{found.n_failed} settings on the way had no cycle, or stiction held the piston there")
+    rows = [[name, *(setting_shown(name, one.values[name]) for _, one in columns)] for name in found.values]
+    for number in range(len(found.commands)):
+        for row, what in enumerate(("on", "off")):
+            times = [f"{1e3 * one.commands[number][row]:.3f} ms" for _, one in columns]
+            rows.append([f"command {what}" + (f" {number + 1}" if len(found.commands) > 1 else ""), *times])
+    parts += ["", table(["setting", *(name for name, _ in columns)], rows), heading("What the machine does")]
+    parts.append("All figures are the nonlinear machine's but those in the column of the linear model.\n")
+    parts.append(table(*_figures(found)))
+    if found.constraints:
+        rows = [
+            [
+                name,
+                f"{found.constraints[name]:.2g}",
+                *(f"{one.nonlinear_constraints[name]:.2g}" for _, one in columns),
+                f"{found.duals[name]:.3g}" if name in found.duals else "-",
+            ]
+            for name in found.constraints
+        ]
+        header = ["goal", "missed by, linear model", *(f"nonlinear, {name}" for name, _ in columns), "dual"]
+        if corrected:
+            header[2], header[3] = "nonlinear machine", "corrected"
+        parts += [heading("Goals [SI units]"), table(header, rows)]
+    if found.active:
+        parts.append(f"\nactive: {', '.join(found.active)}")
+    return "\n".join(parts)
+
+
+def _figures(found: "DutySolution") -> tuple[list[str], list[list[str]]]:
+    """Return rows of the figures of all cycles."""
+    header = ["cycle", "mean position", "amplitude", "air use", "remark"]
+    rows: list[list[str]] = []
+    if found.model is not None:
+        rows.append(["linear model", *_cells(found.machine, found.model.orbit)])
+    for one, name in ((found, ""), (found.corrected, ", corrected")):
+        for scenario, orbit in one.nonlinear.items() if one is not None else ():
+            label = f"nonlinear{name}" + ("" if scenario == "nominal" else f", {scenario}")
+            if isinstance(orbit, Orbit) and one is not None:
+                rows.append([label, *_cells(one.scenario_machines[scenario], orbit)])
+            else:
+                rows.append([label, "-", "-", "-", str(orbit)])
+    return header, rows
+
+
+def _cells(machine: Machine, orbit: Orbit) -> list[str]:
+    from ltvpneu.design import air_use
+
+    remarks: list[str] = []
+    if orbit.n_periods > 1:
+        remarks.append(f"repeats every {orbit.n_periods} periods")
+    if not orbit.is_unique:
+        remarks.append("held by stiction")
+    return [
+        shown("position", orbit.mean("position")),
+        shown("position", orbit.amplitude("position")),
+        f"{1e3 * air_use(machine, orbit):.3f} g/s",
+        ", ".join(remarks),
+    ]
+
+
+def optimum_data(found: "DutySolution") -> dict[str, Any]:
+    """Return an optimum as plain values for JSON, in SI units; None stands for what is not known."""
+    from ltvpneu.design import air_use
+
+    def cycles(one: "DutySolution") -> dict[str, Any]:
+        return {
+            name: orbit
+            if isinstance(orbit, str)
+            else {
+                "mean_position": orbit.mean("position"),
+                "amplitude": orbit.amplitude("position"),
+                "air_use": air_use(one.scenario_machines[name], orbit),
+                "is_unique": orbit.is_unique,
+                "n_periods": orbit.n_periods,
+            }
+            for name, orbit in one.nonlinear.items()
+        }
+
+    def known(value: float) -> float | None:
+        return float(value) if np.isfinite(value) else None
+
+    def data(one: "DutySolution") -> dict[str, Any]:
+        return {
+            "status": one.status,
+            "values": one.values,
+            "frequency": one.frequency,
+            "commands": [list(pair) for pair in one.commands],
+            "objective": known(one.objective),
+            "nonlinear_objective": known(one.nonlinear_objective),
+            "lower_bound": known(one.lower_bound),
+            "residual": known(one.residual),
+            "duals": {name: known(value) for name, value in one.duals.items()},
+            "active": list(one.active),
+            "missed_by": {name: known(value) for name, value in one.constraints.items()},
+            "nonlinear_missed_by": {name: known(value) for name, value in one.nonlinear_constraints.items()},
+            "spectral_radius": known(one.spectral_radius),
+            "nonlinear": cycles(one),
+        }
+
+    return data(found) | {"corrected": data(found.corrected) if found.corrected is not None else None}
+
+
+def write_optimum(found: "DutySolution", folder: Path) -> list[Path]:
+    """Write JSON and the picture of the cycles; return their paths."""
+    # A lazy door, as of the study.
+    from ltvpneu.face import pictures
+
+    paths = [folder / "optimum.json", folder / "optimum.png"]
+    paths[0].write_text(json.dumps(optimum_data(found), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    pictures.draw(found).savefig(paths[1], dpi=150)
+    return paths
+
+
+def setting_shown(name: str, value: float) -> str:
+    """Return a setting with a unit that people use."""
+    dimension = _dimension(name)
+    if name == "frequency":
+        return f"{value:.5g} Hz"
+    if dimension == "pressure":
+        return f"{value / 1e5:.4f} bar"
+    if dimension == "angle":
+        return f"{np.degrees(value):.3f} deg"
+    return f"{value:.6g}"
+
+
+def _frequency(values: Sequence[str]) -> float | Bounds:
+    text = values[0]
+    if ".." in text:
+        return _range("--frequency", "frequency", text)
+    return _plain("--frequency", "frequency", re.sub(r"\s*Hz$", "", text))
+
+
+def _named(option: str, text: str, known: Sequence[str]) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    name = name.strip()
+    if not equals or not value.strip():
+        raise ValueError(f"{option}: found {text!r}, expected NAME=VALUE, such as position=45mm")
+    if known and name not in known:
+        raise ValueError(f"{option}: found {name!r}{nearest(name, tuple(known))}; expected one of {', '.join(known)}")
+    return name, value.strip()
+
+
+def _dimension(name: str) -> Dimension:
+    if name.startswith("pressure"):
+        return "pressure"
+    if re.fullmatch(r"(on|off)_\d+", name) or name.endswith((".start", ".width")):
+        return "angle"
+    return DIMENSIONS.get(name, "number")
+
+
+def _plain(option: str, name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{option}: found {text!r} for {name}, expected a number") from None
+
+
+def _quantity(option: str, name: str, text: str) -> float:
+    dimension = _dimension(name)
+    if name == "velocity":
+        return _plain(option, name, re.sub(r"\s*m/s$", "", text))
+    try:
+        # As on a machine file, but that a plain number may be typed as such.
+        return parse(float(text), dimension)
+    except ValueError:
+        pass
+    try:
+        return parse(text, dimension)
+    except ValueError as error:
+        raise ValueError(f"{option}: {name}: {error}") from None
+
+
+def _range(option: str, name: str, text: str) -> Any:
+    low, _, high = text.partition("..")
+    found = [None if not part.strip() else _quantity(option, name, re.sub(r"\s*Hz$", "", part)) for part in (low, high)]
+    if option != "--mean" and None in found:
+        raise ValueError(
+            f"{option}: found {text!r} for {name}, expected its least and greatest value, such as 0.1..0.9"
+        )
+    return found[0], found[1]
