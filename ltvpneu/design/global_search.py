@@ -18,7 +18,7 @@ import cvxpy as cp
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu.design.sequential import FEASIBLE, FIRST_PENALTY, Found, Progress, Search, converge, stacked
+from ltvpneu.design.sequential import FEASIBLE, FIRST_PENALTY, Found, Progress, Search, best_from, stacked
 from ltvpneu.design.solving import TIGHT
 from ltvpneu.errors import SolverError
 
@@ -183,13 +183,9 @@ def _polished(
     max_iterations: int,
     best: Found | None,
 ) -> Found:
-    for _, centre in sorted(tries, key=lambda one: one[0])[:POLISHED]:
-        found = converge(search, centre, tolerance, max_iterations)
-        search.subproblem.restore()
-        if best is None or _value(search, found) < _value(search, best):
-            best = found
-    assert best is not None
-    return best
+    starts = [centre for _, centre in sorted(tries, key=lambda one: one[0])[:POLISHED]]
+    found = best_from(search, starts, tolerance, max_iterations, None)
+    return found if best is None or _value(search, found) < _value(search, best) else best
 
 
 def _value(search: Search, found: Found) -> float:

@@ -25,7 +25,7 @@ from cvxpy.constraints.zero import Equality
 from cvxpy.error import SolverError as CvxpySolverError
 from scipy.stats import qmc
 
-from ltvpneu._arrays import FloatArray
+from ltvpneu._arrays import BoolArray, FloatArray
 from ltvpneu.design.solving import TIGHT, why_not_convex
 from ltvpneu.errors import LtvpneuError, NotConvexError, SolverError
 from ltvpneu.models.cycle_figures import CycleFigures, Figure
@@ -38,6 +38,10 @@ FIRST_PENALTY, LARGEST_PENALTY = 10.0, 1e6
 """On the constraints' scaled violation."""
 LEAST_SHARE = 0.05
 """Share of the foretold fall of the merit that a step must make true [-]."""
+STARTS_EACH = 3
+"""Settings started from at most, by either ranking."""
+FELT_FROM, FELT_TO = 1e-2, 1e-5
+"""Steps that are tried without derivatives, as shares of the bounds [-]."""
 ROUNDING = 1e-9
 """Changes of the merit that the cycles' own accuracy does not tell from none [-]."""
 FIRST_CURVATURE = 0.1
@@ -320,18 +324,21 @@ class Found:
     merits: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     n_cycles: int = 0
     n_failed: int = 0
+    first_broken: float = 0.0
+    """Scaled violation at the start."""
 
 
-def best_of(search: Search, own: FloatArray, count: int, progress: Progress | None) -> FloatArray:
-    """Return the setting of least merit among one's own and a Sobol sequence's, or an even grid of one or two."""
+def best_starts(search: Search, own: FloatArray, count: int, progress: Progress | None) -> list[FloatArray]:
+    """Return a few settings to start from, the best first, among one's own and a grid's or a Sobol sequence's.
+
+    Of one or two settings, those that are better than their neighbours on the grid; by the merit with a low penalty and
+    with a high one, as a setting that keeps the constraints may lie far from one that nearly does.
+    """
     p, sub = own.size, search.subproblem
-    if p <= 2:
-        side = max(round(count ** (1 / p)), 1)
-        axis = (np.arange(side) + 0.5) / side
-        points = np.stack(np.meshgrid(*[axis] * p, indexing="ij"), axis=-1).reshape(-1, p)
-    else:
-        points = qmc.Sobol(p, rng=0).random(count) if count else np.zeros((0, p))
-    best: tuple[float, FloatArray] | None = None
+    side = max(round(count ** (1 / p)), 1)
+    shape = (side,) * p if p <= 2 else (count,)
+    points = _even_grid(side, p) if p <= 2 else qmc.Sobol(p, rng=0).random(count) if count else np.zeros((0, p))
+    merits = np.full((points.shape[0] + 1, 2), np.inf)
     candidates = [own, *points]
     for number, setting in enumerate(candidates):
         if progress is not None:
@@ -341,16 +348,109 @@ def best_of(search: Search, own: FloatArray, count: int, progress: Progress | No
         figures = search.figures(setting)
         if figures is None:
             continue
-        if best is None:
+        try:
             sub.scale(setting, figures)
-        merit = sub.merit(setting, figures, FIRST_PENALTY)[0]
-        if best is None or merit < best[0]:
-            best = merit, setting
-    if best is None:
+        except LtvpneuError:
+            continue
+        for column, penalty in enumerate((FIRST_PENALTY, 1e3 * FIRST_PENALTY)):
+            merits[number, column] = sub.merit(setting, figures, penalty)[0]
+    if not np.isfinite(merits).any():
         if search.reason is not None:
             raise search.reason
-        return own
-    return best[1]
+        return [own]
+    chosen: list[int] = []
+    for column in (0, 1):
+        order = np.argsort(merits[:, column])
+        good = [int(i) for i in order if np.isfinite(merits[i, column])]
+        if p <= 2:
+            lowest = _lower_than_neighbours(merits[1:, column].reshape(shape))
+            good = [i for i in good if i == 0 or lowest.ravel()[i - 1]]
+        chosen += [i for i in good[:STARTS_EACH] if i not in chosen]
+    return [candidates[i] for i in chosen]
+
+
+def _even_grid(side: int, p: int) -> FloatArray:
+    axis = (np.arange(side) + 0.5) / side
+    return np.stack(np.meshgrid(*[axis] * p, indexing="ij"), axis=-1).reshape(-1, p)
+
+
+def _lower_than_neighbours(values: FloatArray) -> BoolArray:
+    padded = np.pad(values, 1, constant_values=np.inf)
+    lowest = np.isfinite(values)
+    middle = (slice(1, -1),) * values.ndim
+    for axis in range(values.ndim):
+        for shift in (-1, 1):
+            lowest &= values <= np.roll(padded, shift, axis)[middle]
+    return lowest
+
+
+def best_from(
+    search: Search, starts: Sequence[FloatArray], tolerance: float, max_iterations: int, progress: Progress | None
+) -> Found:
+    """Go from each of several settings to a local optimum; return the best, one that keeps the constraints first."""
+    best: tuple[float, float, Found] | None = None
+    reason: Exception | None = None
+    for start in starts:
+        for penalty in (FIRST_PENALTY, 1e3 * FIRST_PENALTY):
+            search.subproblem.restore()
+            try:
+                found = converge(search, start, tolerance, max_iterations, progress, penalty=penalty)
+            except (LtvpneuError, ValueError) as error:
+                # Other starts may do; if none does, this is the reason.
+                reason = error
+                break
+            search.subproblem.restore()
+            merit, broken = search.subproblem.merit(found.setting, found.figures, 0.0)
+            rank = (broken if broken > max(FEASIBLE, tolerance) else 0.0, merit)
+            if best is None or rank < best[:2]:
+                best = (*rank, found)
+            # A way that led out of what was allowed is walked again with more weight on staying.
+            if rank[0] <= found.first_broken:
+                break
+    search.subproblem.restore()
+    if best is None:
+        assert reason is not None
+        raise reason
+    found = best[2] if best[2].status in ("optimal", "infeasible") else feel_about(search, best[2], tolerance)
+    found.n_cycles, found.n_failed = search.n_cycles, search.n_failed
+    return found
+
+
+def is_better(search: Search, one: Found, other: Found) -> bool:
+    """Whether one keeps the constraints better, or as well and has the better objective."""
+    ranks: list[tuple[float, float]] = []
+    for found in (one, other):
+        merit, broken = search.subproblem.merit(found.setting, found.figures, 0.0)
+        ranks.append((broken if broken > FEASIBLE else 0.0, merit))
+    return ranks[0] < ranks[1]
+
+
+def feel_about(search: Search, found: Found, tolerance: float) -> Found:
+    """Go on without derivatives, by steps along each setting that halve when none is better.
+
+    For where they end: at a kink of the model, or next to settings without a cycle.
+    """
+    sub, penalty = search.subproblem, 1e3 * FIRST_PENALTY
+    merit, length, p = sub.merit(found.setting, found.figures, penalty)[0], FELT_FROM, found.setting.size
+    setting, figures = found.setting, found.figures
+    while length > FELT_TO:
+        moved = False
+        for direction in [*np.eye(p), *-np.eye(p)]:
+            tried = np.clip(setting + length * direction, 0.0, 1.0)
+            there = search.figures(tried) if _within(sub.task, tried) else None
+            if there is None:
+                continue
+            new = sub.merit(tried, there, penalty)[0]
+            if new < merit:
+                found.merits.append((merit, new))
+                setting, figures, merit, moved = tried, there, new, True
+        length *= 1.0 if moved else 0.5
+    if setting is not found.setting:
+        state = _State(search, Found(setting=setting, figures=figures, merits=found.merits), tolerance, penalty)
+        state.blocked = True
+        state.finish()
+        return state.found
+    return found
 
 
 def _within(task: Task, setting: FloatArray) -> bool:
@@ -360,8 +460,9 @@ def _within(task: Task, setting: FloatArray) -> bool:
 
 
 def converge(
-    search: Search, begin: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
-) -> Found:
+    search: Search, begin: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None,
+    *, penalty: float = FIRST_PENALTY,
+) -> Found:  # fmt: skip
     """Go from a setting to a local optimum."""
     sub = search.subproblem
     begin = _projected(sub.task, begin)
@@ -370,7 +471,8 @@ def converge(
         assert search.reason is not None
         raise search.reason
     sub.scale(begin, figures)
-    state = _State(search, Found(setting=begin, figures=figures), tolerance)
+    state = _State(search, Found(setting=begin, figures=figures), tolerance, penalty)
+    state.found.first_broken = state.broken
     for number in range(max_iterations):
         if progress is not None:
             progress(f"step {number + 1}, residual {state.found.residual:.1e}", min(1.0, number / max_iterations))
@@ -385,11 +487,12 @@ def converge(
 class _State:
     """Where the iteration is."""
 
-    def __init__(self, search: Search, found: Found, tolerance: float) -> None:
+    def __init__(self, search: Search, found: Found, tolerance: float, penalty: float) -> None:
         self.search, self.sub, self.found, self.tolerance = search, search.subproblem, found, tolerance
         p = found.setting.size
         self.curvature, self.updated = FIRST_CURVATURE * np.eye(p), False
-        self.radius, self.penalty = FIRST_RADIUS, FIRST_PENALTY
+        self.radius, self.penalty = FIRST_RADIUS, penalty
+        self.blocked = False
         self.linear = stacked(found.figures, p)
         self.merit, self.broken = self.sub.merit(found.setting, found.figures, self.penalty)
 
@@ -405,6 +508,7 @@ class _State:
             if foretold <= 1e-3 * ROUNDING:
                 return self._settled()
         setting, figures = self._trial(answer)
+        self.blocked = figures is None
         taken = self._try(answer, setting, figures, foretold)
         if not taken and figures is not None:
             # Once more, with the figures' bend put right at the step's end (second-order correction).
@@ -502,8 +606,10 @@ class _State:
         ok = self._certified()
         if self.broken > max(FEASIBLE, self.tolerance):
             found.status = "infeasible" if not self.sub.has_objective and ok else "stopped"
+        elif ok and self.sub.has_objective:
+            found.status = "optimal"
         else:
-            found.status = "optimal" if ok and self.sub.has_objective else "stopped"
+            found.status = "edge" if self.blocked else "stopped"
 
 
 def _projected(task: Task, setting: FloatArray) -> FloatArray:

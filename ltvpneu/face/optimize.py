@@ -136,6 +136,7 @@ def optimum_text(found: "DutySolution") -> str:
     said = {
         "optimal": "optimal: every goal is kept, and no small change does better",
         "infeasible": "infeasible: no setting near keeps every goal; this one comes nearest",
+        "edge": "edge: better settings next to this one have no cycle, as where stiction holds the piston",
         "stopped": "stopped before the residual was small: look at the figures, try other bounds or starts",
     }
     corrected = found.corrected

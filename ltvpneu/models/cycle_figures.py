@@ -24,13 +24,15 @@ from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.march import Plan, Steps, march_period
 from ltvpneu.models.operating_points import LEAST_DISTANCE
-from ltvpneu.models.own_cycle import MAX_PERIODS, Found, OwnCycle, Question, as_model, new_steps, trajectory_of_steps
+from ltvpneu.models.own_cycle import Found, OwnCycle, Question, as_model, new_steps, trajectory_of_steps
 from ltvpneu.models.parameters import STATE_STEP, STEP, TOLERANCE, is_angle, with_values
 from ltvpneu.models.repeat import Repeated, repeat_march
 from ltvpneu.models.turn import Cells, Probes, Turn, march_cells
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 
 FigureKind = Literal["mean", "minimum", "maximum", "at", "air_use"]
+MOST_PERIODS = 500
+"""Valve periods marched for a cycle; what takes longer, as in chaos, counts as none."""
 WHOLE = -1
 """Instead of a piece's number: all of them."""
 
@@ -69,6 +71,8 @@ class CycleFigures:
     initial_state: FloatArray
     """(n,)"""
     differentiate: Callable[[], Slopes]
+    cycle: "LinearCycle | None" = None
+    """Of a linear model, the cycle itself."""
 
     @cached_property
     def slopes(self) -> Slopes:
@@ -144,7 +148,7 @@ class LinearCycles:
         steps = new_steps(question, cells)
 
         def from_start(start: FloatArray) -> Repeated:
-            return repeat_march(np.append(start / plan.scales, 1.0), plan, steps, 10 * TOLERANCE, MAX_PERIODS)
+            return repeat_march(np.append(start / plan.scales, 1.0), plan, steps, 10 * TOLERANCE, MOST_PERIODS)
 
         rest = question.machine.rest_state
         repeated = from_start(rest if self._start is None else self._start)
@@ -308,6 +312,7 @@ class LinearCycle:
             values=np.array(values) * sizes,
             initial_state=self.initial_state,
             differentiate=differentiate,
+            cycle=self,
         )
 
     def _probes(self, asked: Sequence[Figure]) -> tuple[Probes, dict[int, int]]:
