@@ -42,9 +42,13 @@ STARTS_EACH = 3
 """Settings started from at most, by either ranking."""
 FELT_FROM, FELT_TO = 1e-2, 1e-5
 """Steps that are tried without derivatives, as shares of the bounds [-]."""
+MOST_FELT = 4
+"""Settings up to which they are tried."""
 ROUNDING = 1e-9
 """Changes of the merit that the cycles' own accuracy does not tell from none [-]."""
 FIRST_CURVATURE = 0.1
+SIZED_BY = 1e-2
+"""Share of the bounds over which the sizes of objective and constraints are taken [-]."""
 FEASIBLE = 1e-7
 """Scaled violation up to which a constraint counts as kept [-]."""
 ACTIVE = 1e-6
@@ -179,14 +183,21 @@ class Subproblem:
 
     def _size(self, expression: Any, slopes: FloatArray) -> float:
         """Return how much an expression changes over the bounds of the settings, by its slopes; else its value."""
-        gradient = expression.grad
-        found = abs(np.max(np.abs(np.asarray(expression.value)), initial=0.0)) * 1e-3
-        first = 0
-        for block in self.task.blocks:
-            rows = slopes[first : first + block.variable.size]
-            first += block.variable.size
-            found = max(found, float(np.max(np.abs(_dense(gradient, block.variable).T @ rows), initial=0.0)))
-        return max(found, float(np.max(np.abs(_dense(gradient, self.task.setting)), initial=0.0))) or 1.0
+        blocks, setting = self.task.blocks, np.asarray(self.task.setting.value, dtype=np.float64)
+        present, values = _array(expression), [np.asarray(block.variable.value) for block in blocks]
+        found = float(np.max(np.abs(present), initial=0.0)) * 1e-3
+        for j, direction in enumerate(np.eye(self.n_variables)):
+            first = 0
+            for block, value in zip(blocks, values, strict=True):
+                block.variable.value = value + SIZED_BY * slopes[first : first + value.size, j]
+                first += value.size
+            self.task.setting.value = setting + SIZED_BY * direction
+            change = np.abs(_array(expression) - present) / SIZED_BY
+            found = max(found, float(np.max(np.nan_to_num(change, posinf=0.0), initial=0.0)))
+        for block, value in zip(blocks, values, strict=True):
+            block.variable.value = value
+        self.task.setting.value = setting
+        return found or 1.0
 
     def _build(self) -> None:
         task, p = self.task, self.n_variables
@@ -411,7 +422,9 @@ def best_from(
     if best is None:
         assert reason is not None
         raise reason
-    found = best[2] if best[2].status in ("optimal", "infeasible") else feel_about(search, best[2], tolerance)
+    found = best[2]
+    if found.status not in ("optimal", "infeasible") and found.setting.size <= MOST_FELT:
+        found = feel_about(search, found, tolerance)
     found.n_cycles, found.n_failed = search.n_cycles, search.n_failed
     return found
 
@@ -492,7 +505,7 @@ class _State:
         p = found.setting.size
         self.curvature, self.updated = FIRST_CURVATURE * np.eye(p), False
         self.radius, self.penalty = FIRST_RADIUS, penalty
-        self.blocked = False
+        self.blocked, self.collapsed = False, False
         self.linear = stacked(found.figures, p)
         self.merit, self.broken = self.sub.merit(found.setting, found.figures, self.penalty)
 
@@ -519,7 +532,7 @@ class _State:
         if not taken:
             self.radius = 0.25 * min(self.radius, float(np.max(np.abs(answer.step))))
             if self.radius < SMALLEST_RADIUS:
-                self._certified()
+                self.collapsed = True
                 return self._settled()
         return False
 
@@ -596,7 +609,7 @@ class _State:
         else:
             self.sub.without_objective()
             self.penalty = 1.0
-        self.radius = FIRST_RADIUS
+        self.radius, self.collapsed = FIRST_RADIUS, False
         self.merit, self.broken = self.sub.merit(self.found.setting, self.found.figures, self.penalty)
         return False
 
@@ -605,7 +618,7 @@ class _State:
         found = self.found
         ok = self._certified()
         if self.broken > max(FEASIBLE, self.tolerance):
-            found.status = "infeasible" if not self.sub.has_objective and ok else "stopped"
+            found.status = "infeasible" if not self.sub.has_objective and (ok or self.collapsed) else "stopped"
         elif ok and self.sub.has_objective:
             found.status = "optimal"
         else:
@@ -640,13 +653,8 @@ def _violation(constraint: Any) -> FloatArray:
     return np.abs(value) if isinstance(constraint, Equality) else np.maximum(value, 0.0)
 
 
-def _dense(gradient: Mapping[Any, Any], variable: cp.Variable) -> FloatArray:
-    """Return a gradient that cvxpy gives, sparse, scalar or none at all, as (n_variable, n_expression)."""
-    part = gradient.get(variable)
-    if part is None:
-        return np.zeros((variable.size, 1))
-    whole = part.toarray() if hasattr(part, "toarray") else part
-    return np.asarray(whole, dtype=np.float64).reshape(variable.size, -1)
+def _array(expression: Any) -> FloatArray:
+    return np.asarray(expression.value, dtype=np.float64)
 
 
 def _number(expression: Any) -> float:

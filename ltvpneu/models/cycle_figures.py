@@ -6,7 +6,7 @@ scaled states cell c of the linear model takes its start y_c and its duration ta
 .. math:: dy_{c+1} = A_c\, dy_c + b_c\, d\tau_c + e_c\, d\theta, \qquad (I - A_{N-1} \cdots A_0)\, dy_0 = \ldots
 
 and a figure is a sum over cells, or the state at a place in one of them. An extreme's place is kept: the signal's slope
-vanishes there, or it lies at a switch and moves with it. A, b and e are central differences through each cell's fit.
+vanishes there, or it lies at a switch or an event and moves with it. A, b and e are central differences through each cell's fit.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -207,7 +207,9 @@ class LinearCycles:
 
 
 def _same_pieces(one: FloatArray, other: FloatArray) -> bool:
-    return one.shape == other.shape and np.allclose(one, other, rtol=1e-9, atol=0)
+    # Where a ramp ends, rounding leaves a little of the opening, or nothing.
+    largest = float(np.max(one, where=np.isfinite(one), initial=0.0))
+    return one.shape == other.shape and np.allclose(one, other, rtol=1e-9, atol=1e-9 * largest)
 
 
 def divided(fractions: FloatArray, n: int) -> FloatArray:
@@ -317,8 +319,7 @@ class LinearCycle:
 
     def _probes(self, asked: Sequence[Figure]) -> tuple[Probes, dict[int, int]]:
         """Return the places that figures are read off at, and which belongs to which figure."""
-        cells: list[int] = []
-        shares: list[float] = []
+        places: list[tuple[int, int, float]] = []
         known: dict[int, int] = {}
         extremes: dict[int, _Extremes] = {}
         for row, (kind, state, angle, within) in enumerate(asked):
@@ -327,15 +328,19 @@ class LinearCycle:
             if kind == "at":
                 share = angle / (2 * np.pi) % 1.0
                 cell = min(int(np.searchsorted(self.cells, share, side="right")) - 1, self.cells.size - 2)
-                place = cell, float((share - self.cells[cell]) / (self.cells[cell + 1] - self.cells[cell]))
+                place = cell, -1, float((share - self.cells[cell]) / (self.cells[cell + 1] - self.cells[cell]))
             else:
                 if state not in extremes:
                     extremes[state] = self._extremes(state)
                 place = extremes[state].place(kind == "maximum", within)
-            known[row] = len(cells)
-            cells.append(place[0])
-            shares.append(place[1])
-        return Probes(np.array(cells, dtype=np.int64), np.array(shares, dtype=np.float64)), known
+            known[row] = len(places)
+            places.append(place)
+        found = Probes(
+            np.array([cell for cell, _, _ in places], dtype=np.int64),
+            np.array([row for _, row, _ in places], dtype=np.int64),
+            np.array([share for _, _, share in places], dtype=np.float64),
+        )
+        return found, known
 
     def _extremes(self, state: int) -> "_Extremes":
         n_cells, turns = self.cells.size - 1, np.arange(self.n_turns)
@@ -343,20 +348,16 @@ class LinearCycle:
         counts = [steps.table.shape[0] for steps in self.periods]
         table = np.concatenate([steps.table for steps in self.periods])
         cells = table[:, 0].astype(np.int64) + n_cells * np.repeat(turns, counts)
-        begun = np.concatenate([[0.0], np.cumsum(table[:, 2])])
-        # Of each step, since its cell's start.
         first = np.searchsorted(cells, cells)
-        since = begun[:-1] - begun[first]
-        whole = np.tile(np.diff(self.plan.run.schedule.times), self.n_turns)
         found = _Extremes({}, {})
         for step, (low, high) in enumerate(self._trajectory.step_extremes(state)):
             for kept, extreme, sign in ((found.low, low, -1), (found.high, high, 1)):
-                cell = int(cells[step])
-                share = min((float(since[step]) + extreme.time) / float(whole[cell]), 1.0)
+                cell, row = int(cells[step]), step - int(first[step])
+                share = min(extreme.time / float(table[step, 2]), 1.0)
                 piece = cell % n_cells // per_piece
                 present = kept.get(piece)
                 if present is None or sign * extreme.value > sign * present[0]:
-                    kept[piece] = extreme.value, cell, share
+                    kept[piece] = extreme.value, cell, row, share
         return found
 
     @cached_property
@@ -365,14 +366,15 @@ class LinearCycle:
 
 
 class _Extremes(NamedTuple):
-    """A signal's least and greatest value within each piece of the openings: value, cell of all turns, share of it."""
+    """A signal's least and greatest value within each piece of the openings: value, cell of all turns, step, share."""
 
-    low: dict[int, tuple[float, int, float]]
-    high: dict[int, tuple[float, int, float]]
+    low: dict[int, tuple[float, int, int, float]]
+    high: dict[int, tuple[float, int, int, float]]
 
-    def place(self, greatest: bool, piece: int) -> tuple[int, float]:
+    def place(self, greatest: bool, piece: int) -> tuple[int, int, float]:
         kept = self.high if greatest else self.low
-        if piece != WHOLE:
+        # Where edges have changed their order there may be fewer pieces than there were.
+        if piece in kept:
             return kept[piece][1:]
         return (max if greatest else min)(kept.values())[1:]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.errors import LtvpneuError, NonUniqueOrbitError
-from ltvpneu.models.cycle_figures import WHOLE, CycleFigures, Figure, Slopes
+from ltvpneu.models.cycle_figures import CycleFigures, Figure, Slopes
 from ltvpneu.models.dynamics import source_flow
 from ltvpneu.models.integrator import Record
 from ltvpneu.models.machine import Machine
@@ -111,7 +111,8 @@ def _figure(record: Record, machine: Machine, frequency: float, asked: Figure) -
     if kind == "air_use":
         return _mass_drawn(record, machine, frequency) / float(np.sum(record.spans))
     n_pieces = machine.openings.fractions.size - 1
-    within = slice(None) if piece == WHOLE else record.pieces % n_pieces == piece
+    # Where edges have changed their order there may be fewer pieces than there were.
+    within = record.pieces % n_pieces == piece if 0 <= piece < n_pieces else slice(None)
     low, high = polynomial_extremes(record.coefficients[within, :, state].copy(), record.spans[within].copy())
     return high if kind == "maximum" else low
 

@@ -25,8 +25,10 @@ class Probes(NamedTuple):
 
     cells: IntArray
     """(n_probes,)"""
+    rows: IntArray
+    """Which step of the cell, where events cut it into several; below zero, whichever the share falls in; (n_probes,)."""
     shares: FloatArray
-    """Of the cell's duration, (n_probes,)."""
+    """Of the step's duration, or of the cell's, (n_probes,)."""
 
 
 class Turn(NamedTuple):
@@ -138,11 +140,16 @@ def march_cells(cells: Cells, plan: Plan, steps: Steps, probes: Probes, with_flo
                     integrals[number, i] += work[i] * duration
             if with_flow:
                 flows[number] += _mass_drawn(row, time, one, steps)
+            last = row == marched.n_steps - 1
             for probe in range(K):
-                at = probes.shares[probe] * durations[number]
-                last = row == marched.n_steps - 1
-                if probes.cells[probe] == number and time <= at and (last or at < time + duration):
-                    exponential(steps.matrices[row], at - time, map_, mean)
+                if probes.cells[probe] != number:
+                    continue
+                wanted = probes.rows[probe]
+                since = probes.shares[probe] * (durations[number] if wanted < 0 else duration)
+                since -= time if wanted < 0 else 0.0
+                here = since >= 0.0 and (last or since < duration) if wanted < 0 else row == wanted or last
+                if here and (wanted < 0 or row <= wanted):
+                    exponential(steps.matrices[row], since, map_, mean)
                     apply(map_, steps.starts[row], state)
                     apply(steps.matrices[row], state, work)
                     values[probe], rates[probe] = state[:n], work[:n]

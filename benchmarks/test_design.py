@@ -1,0 +1,164 @@
+"""Duty optimization by sequential convex programming against scipy's SLSQP with finite differences.
+
+The same machine, edges, goals and start: least air use at a mean of 45 mm and a largest amplitude. SLSQP works on the
+nonlinear orbit, compiled and warm-started, and on the same refitted linear model, values only. One pulse has one free
+edge, n pulses 2 n - 1: the first edge only shifts the cycle in time. Run with
+
+    pytest benchmarks/test_design.py --benchmark-only -s
+"""
+
+import math
+import time
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import ltvpneu as lp
+from ltvpneu import design
+from ltvpneu.errors import LtvpneuError
+from ltvpneu.models.cycle_figures import Figure, LinearCycles
+from ltvpneu.models.nonlinear_figures import NonlinearCycles
+from ltvpneu.models.parameters import present_value
+
+MEAN = 0.045
+
+
+def pulsed(n_pulses):
+    """Pulses of uneven width, evenly spaced; slow enough that the piston follows each."""
+    machine, turn = lp.load_machine("kunt_singh_1990"), 2 * math.pi / n_pulses
+    if n_pulses == 1:
+        return machine.with_duty(0.55), 8.0, ["duty"]
+    widths = 0.45 + 0.1 * np.sin(np.arange(n_pulses))
+    machine = machine.with_pulses([(i * turn, (i + width) * turn) for i, width in enumerate(widths)])
+    names = [f"{kind}_{i + 1}" for i in range(n_pulses) for kind in ("on", "off")][1:]
+    return machine, 8.0 / n_pulses, names
+
+
+def by_slsqp(cycles, machine, frequency, names, most):
+    """Minimize by SLSQP over the edges as shares of the turn; values are kept for the constraints' sake."""
+    figures = [Figure("mean", 0), Figure("minimum", 0), Figure("maximum", 0), Figure("air_use")]
+    size = 1.0 if names == ["duty"] else 2 * math.pi
+    start = np.array([present_value(machine, frequency, name) for name in names]) / size
+    kept: dict[bytes, np.ndarray] = {}
+
+    def values(x):
+        key = x.tobytes()
+        if key not in kept:
+            try:
+                found = cycles.figures(dict(zip(names, (x * size).tolist(), strict=True)), figures, []).values
+                kept[key] = np.array([found[0], (found[2] - found[1]) / 2, found[3]])
+            except (LtvpneuError, ValueError):
+                kept[key] = np.array([0.0, 1.0, 1.0])
+        return kept[key]
+
+    ordered = [{"type": "ineq", "fun": lambda x, i=i: x[i + 1] - x[i] - 2e-3} for i in range(len(names) - 1)]
+    found = minimize(
+        lambda x: 1e3 * values(x)[2],
+        start,
+        method="SLSQP",
+        bounds=[(2e-3, 0.998)] * len(names),
+        constraints=[
+            {"type": "eq", "fun": lambda x: (values(x)[0] - MEAN) * 1e2},
+            {"type": "ineq", "fun": lambda x: (most - values(x)[1]) * 1e2},
+            *ordered,
+        ],
+        options={"ftol": 1e-9, "maxiter": 40, "eps": 1e-6},
+    )
+    mean, amplitude, air_use = values(found.x)
+    return air_use, max(abs(mean - MEAN), amplitude - most, 0.0), len(kept)
+
+
+def timed(function, repeats=3):
+    best, result = math.inf, None
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        result = function()
+        best = min(best, time.perf_counter() - begin)
+    return best, result
+
+
+@pytest.mark.parametrize("n_pulses", [1, 2, 4, 8])
+def test_edges(benchmark, n_pulses):
+    machine, frequency, names = pulsed(n_pulses)
+    most = 25e-3
+
+    def ours():
+        problem = design.duty_problem(machine, frequency)
+        cycle = problem.nominal
+        return problem.solve(
+            cp.Minimize(cycle.air_use()),
+            {"mean": cycle.mean("position") == MEAN, "ripple": cycle.amplitude("position") <= most},
+            start={},
+        )
+
+    ours()
+    seconds, found = timed(ours)
+    on_linear, linear = timed(
+        lambda: by_slsqp(LinearCycles(machine, frequency), machine, frequency, names, most), repeats=2
+    )
+    on_nonlinear, nonlinear = timed(
+        lambda: by_slsqp(NonlinearCycles(machine, frequency), machine, frequency, names, most), repeats=2
+    )
+    broken = max(found.constraints.values())
+    print(
+        f"\n{n_pulses} pulses, {len(names)} free edges: {1e3 * seconds:.0f} ms, {found.n_cycles} cycles, "
+        f"{found.status}, {1e3 * found.objective:.5f} g/s, off by {1e6 * broken:.2g} um, residual {found.residual:.1e}"
+    )
+    for name, took, (air_use, off, count) in (
+        ("linear model", on_linear, linear), ("nonlinear", on_nonlinear, nonlinear)
+    ):  # fmt: skip
+        print(
+            f"  SLSQP, {name}: {1e3 * took:.0f} ms ({took / seconds:.1f} times), {count} cycles, "
+            f"{1e3 * air_use:.5f} g/s, off by {1e6 * off:.2g} um"
+        )
+    benchmark.pedantic(ours, rounds=1)
+
+
+def test_a_re_solve_against_cvxpy_alone(benchmark):
+    """The convex problem with new numbers, against a bare parametrized problem of the same size and kind."""
+    machine, frequency, names = pulsed(4)
+    problem = design.duty_problem(machine, frequency)
+    cycle = problem.nominal
+    objective = cp.Minimize(cycle.air_use())
+    constraints = {"mean": cycle.mean("position") == MEAN, "ripple": cycle.amplitude("position") <= 25e-3}
+    from ltvpneu.design.sequential import Search, Subproblem, Task, stacked
+    from ltvpneu.design.solving import TIGHT
+
+    task = Task(
+        step=problem._step, setting=problem._setting, blocks=tuple(problem._blocks), objective=objective,
+        constraints=constraints, limits=problem.limits,
+    )  # fmt: skip
+    sub = Subproblem(task)
+    cycles = problem._cycles("fitted", 1)
+    search = Search(subproblem=sub, evaluate=lambda setting: problem._evaluate(cycles, setting))
+    begin = problem._own()
+    figures = search.figures(begin)
+    sub.scale(begin, figures)
+    linear, p = stacked(figures, len(names)), len(names)
+
+    def ours():
+        return sub.ask(begin, linear, np.eye(p), 0.1, 10.0)
+
+    m = linear[0].size
+    d, y, t = cp.Variable(p), cp.Variable(m), cp.Variable(3, nonneg=True)
+    values, slopes, root = cp.Parameter(m), cp.Parameter((m, p)), cp.Parameter((p, p))
+    n = (m - 2) // 2
+    bare = cp.Problem(
+        cp.Minimize(y[0] + 10 * cp.sum(t) + 0.5 * cp.sum_squares(root @ d)),
+        [
+            y == values + slopes @ d, cp.abs(d) <= 0.1, y[1] == t[0] - t[1],
+            (cp.max(y[2 : 2 + n]) - cp.min(y[2 + n : 2 + 2 * n])) / 2 - 1 <= t[2],
+            begin + d >= 0, begin + d <= 1, np.diff(np.eye(p), axis=0) @ (begin + d) >= 0.002,
+        ],
+    )  # fmt: skip
+
+    def alone():
+        values.value, slopes.value, root.value = linear[0], linear[1], np.eye(p)
+        return bare.solve(solver=cp.CLARABEL, **TIGHT)
+
+    ours(), alone()
+    one, two = timed(lambda: [ours() for _ in range(20)])[0], timed(lambda: [alone() for _ in range(20)])[0]
+    print(f"\nre-solve: {50 * one:.2f} ms, bare cvxpy {50 * two:.2f} ms, ratio {one / two:.2f}")
+    benchmark.pedantic(ours, rounds=1)

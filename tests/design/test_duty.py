@@ -1,0 +1,242 @@
+"""Duty optimization: against sweeps on the same model, its own conditions of optimality, and the nonlinear machine."""
+
+import math
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+import ltvpneu as lp
+from ltvpneu import design
+from ltvpneu.errors import LtvpneuError, NotConvexError
+from ltvpneu.models.cycle_figures import Figure, LinearCycles
+
+FIGURES = [Figure("mean", 0), Figure("minimum", 0), Figure("maximum", 0), Figure("air_use")]
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return lp.load_machine("kunt_singh_1990")
+
+
+def sweep(machine, frequency, n_points=400):
+    cycles, found = LinearCycles(machine, frequency), []
+    for duty in np.linspace(0.02, 0.98, n_points):
+        try:
+            found.append(cycles.figures({"duty": duty}, FIGURES, []).values)
+        except LtvpneuError:
+            continue
+    return np.array(found)
+
+
+@pytest.mark.parametrize("frequency", [5.0, 6.0, 8.0, 14.0, 18.0])
+def test_no_worse_than_a_sweep_on_random_feasible_targets(machine, frequency):
+    values = sweep(machine, frequency)
+    means, amplitudes, flows = values[:, 0], (values[:, 2] - values[:, 1]) / 2, values[:, 3]
+    random = np.random.default_rng(int(frequency))
+    moving = np.flatnonzero(amplitudes > 1e-3)
+    size = machine.state_scales[0]
+    for number in range(10):
+        chosen = random.choice(moving)
+        mean, amplitude = float(means[chosen]), float(amplitudes[chosen])
+        if number % 3 == 0:
+            goals = {"mean": {"position": mean}, "minimize": "mean_error"}
+            objective, allowed = ((means - mean) / size) ** 2, np.full(means.size, True)
+        elif number % 3 == 1:
+            goals = {"mean": {"position": (mean - 2e-3, mean + 2e-3)}, "minimize": "amplitude"}
+            objective, allowed = amplitudes, np.abs(means - mean) <= 2e-3
+        else:
+            goals = {"mean": {"position": (mean, None)}, "amplitude": {"position": amplitude}, "minimize": "air_use"}
+            objective, allowed = flows, (means >= mean) & (amplitudes <= amplitude)
+        found = design.optimize_duty(machine, frequency, **goals)
+        best = float(np.min(objective[allowed]))
+        assert found.objective <= best + 1e-7 * abs(best) + 1e-9, (number, found)
+        assert max(found.constraints.values(), default=0.0) <= 1e-6 * size
+        if found.status == "optimal":
+            assert found.residual <= 1e-6
+        for before, after in found.merits:
+            assert after <= before
+
+
+def test_two_settings_against_a_sweep(machine):
+    cycles, best = LinearCycles(machine, 8.0), math.inf
+    for duty in np.linspace(0.1, 0.9, 20):
+        for frequency in np.linspace(6.0, 14.0, 20):
+            try:
+                mean, low, high, flow = cycles.figures({"duty": duty, "frequency": frequency}, FIGURES, []).values
+            except LtvpneuError:
+                continue
+            if abs(mean - 0.05) <= 1e-3 and (high - low) / 2 <= 8e-3:
+                best = min(best, flow)
+    found = design.optimize_duty(
+        machine, (6.0, 14.0), {"duty": (0.1, 0.9)}, mean={"position": (0.049, 0.051)}, amplitude={"position": 8e-3},
+        minimize="air_use",
+    )  # fmt: skip
+    assert found.status == "optimal"
+    assert found.objective <= best
+    assert 0 < found.spectral_radius < 1
+
+
+def test_the_residual_is_that_of_the_problem(machine):
+    """KKT conditions by hand: two goals active in two settings, gradients by differences of whole cycles."""
+    found = design.optimize_duty(
+        machine, (6.0, 18.0), mean={"position": 0.045}, amplitude={"position": 4e-3}, minimize="air_use"
+    )
+    cycles, names = LinearCycles(machine, 8.0), ["duty", "frequency"]
+
+    def gradient(figure):
+        slopes = []
+        for name in names:
+            step = 1e-4 * found.values[name]
+            up, down = (
+                cycles.figures({**found.values, name: found.values[name] + side * step}, [figure], []).values[0]
+                for side in (1, -1)
+            )
+            slopes.append((up - down) / (2 * step))
+        return np.array(slopes)
+
+    flow, mean = gradient(FIGURES[3]), gradient(FIGURES[0])
+    amplitude = (gradient(FIGURES[2]) - gradient(FIGURES[1])) / 2
+    left = flow + found.duals["mean position"] * mean + found.duals["amplitude position"] * amplitude
+    widths = np.array([0.96, 12.0])
+    assert np.max(np.abs(left * widths)) < 1e-4 * np.max(np.abs(flow * widths))
+    assert found.duals["amplitude position"] > 0
+    assert set(found.active) == {"mean position", "amplitude position"}
+    # A dual is what one more unit of its bound saves.
+    looser = design.optimize_duty(
+        machine, (6.0, 18.0), mean={"position": 0.045}, amplitude={"position": 4.02e-3}, minimize="air_use"
+    )
+    saved = (found.objective - looser.objective) / 2e-5
+    assert saved == pytest.approx(found.duals["amplitude position"], rel=0.05)
+
+
+def test_45_mm_at_8_hz_on_the_nonlinear_machine(machine):
+    found = design.optimize_duty(machine, 8.0, mean={"position": 0.045}, correct=True)
+    assert found.status == "optimal"
+    assert abs(found.nonlinear["nominal"].mean("position") - 0.045) < 2e-3
+    assert abs(found.corrected.nonlinear["nominal"].mean("position") - 0.045) < 1e-4
+    again = lp.nonlinear_orbit(found.corrected.machine, 8.0)
+    assert abs(again.mean("position") - 0.045) < 1e-4
+    assert found.model.system.n_steps >= 2
+
+
+def test_several_pulses(machine):
+    pulsed = machine.with_pulses([(0.0, 0.7), (math.pi / 2, 2.4), (math.pi, 4.0), (1.5 * math.pi, 5.6)])
+    problem = design.duty_problem(pulsed, 2.0)
+    assert list(problem.bounds) == ["off_1", "on_2", "off_2", "on_3", "off_3", "on_4", "off_4"]
+    cycle = problem.nominal
+    goals = {"mean": cycle.mean("position") == 0.045, "ripple": cycle.amplitude("position") <= 25e-3}
+    found = problem.solve(cp.Minimize(cycle.air_use()), goals, start={})
+    assert found.status == "optimal"
+    assert found.residual < 1e-6
+    edges = [0.0, *found.values.values()]
+    assert (np.diff(edges) >= 2 * math.pi * 1.9e-3).all()
+    orbit = lp.nonlinear_orbit(found.machine, 2.0)
+    assert orbit.mean("position") == pytest.approx(0.045, abs=2e-3)
+    assert orbit.amplitude("position") <= 27e-3
+    at_start = LinearCycles(pulsed, 2.0).figures({}, FIGURES, []).values
+    assert found.objective < at_start[3] or abs(at_start[0] - 0.045) > 1e-3
+
+
+def test_tracking_and_a_user_s_own_problem(machine):
+    wanted = lp.ltv_model(machine.with_duty(0.37), 9.0, operating_points="fitted").orbit
+    angles = np.linspace(0, 2 * math.pi, 24, endpoint=False)
+    values = wanted.at(angles / (2 * math.pi * 9.0))[0]
+    found = design.optimize_duty(
+        machine, 9.0, minimize="tracking", goals=design.Goals(cycle={"position": (angles, values)})
+    )
+    assert found.values["duty"] == pytest.approx(0.37, abs=1e-4)
+    problem = design.duty_problem(machine, 9.0)
+    cycle = problem.nominal
+    off = cp.norm_inf(cycle.at("position", angles) - values) / 1e-3
+    again = problem.solve(cp.Minimize(off), {"speed": cycle.maximum("velocity") <= 10.0})
+    assert again.values["duty"] == pytest.approx(0.37, abs=1e-3)
+
+
+def test_an_unreachable_goal_comes_back_with_the_nearest(machine):
+    found = design.optimize_duty(machine, 8.0, mean={"position": 0.12})
+    assert found.status == "infeasible"
+    assert math.isnan(found.objective)
+    reached = 0.12 - found.constraints["mean position"]
+    assert reached == pytest.approx(float(sweep(machine, 8.0, 100)[:, 0].max()), abs=1e-3)
+    assert found.nonlinear_constraints["mean position"] == pytest.approx(0.12 - reached, abs=2e-3)
+
+
+def test_scenarios_are_borne_together(machine):
+    def low(one):
+        return one.with_supply_pressure(0.95 * one.supply_pressure)
+
+    goals = {"mean": {"position": (0.042, 0.05)}, "minimize": "amplitude"}
+    alone = design.optimize_duty(machine, 12.0, **goals)
+    both = design.optimize_duty(machine, 12.0, scenarios={"low": low}, **goals)
+    assert both.status == "optimal"
+    assert both.objective >= alone.objective - 1e-9
+    for name, orbit in both.nonlinear.items():
+        assert 0.042 - 1e-4 < orbit.mean("position") < 0.05 + 1e-4, name
+    assert both.scenario_machines["low"].supply_pressure == pytest.approx(0.95 * machine.supply_pressure)
+
+
+def test_valve_limits_and_commands(machine):
+    valve = design.ValveLimits(shortest_on=0.03, opening_delay=4e-3, closing_delay=7e-3)
+    found = design.optimize_duty(machine, 8.0, mean={"position": (0.0, 0.06)}, minimize="air_use", valve=valve)
+    ((on, off),) = found.commands
+    assert off - on == pytest.approx(0.03, abs=1e-6)
+    assert found.values["duty"] / 8.0 == pytest.approx(0.03 - 4e-3 + 7e-3, abs=1e-6)
+    assert valve.open_share((off - on) * 8.0, 8.0) == pytest.approx(found.values["duty"], abs=1e-6)
+    assert (valve.open_share(0.01, 8.0), valve.open_share(0.99, 8.0)) == (0.0, 1.0)
+
+
+def test_a_global_search_bounds_what_is_left(machine):
+    found = design.optimize_duty(machine, 8.0, mean={"position": (0.03, 0.045)}, minimize="air_use", globally=True)
+    assert found.status == "optimal"
+    assert found.lower_bound <= found.objective <= found.lower_bound * (1 + 5e-3)
+    values = sweep(machine, 8.0)
+    inside = (values[:, 0] >= 0.03) & (values[:, 0] <= 0.045)
+    assert found.objective <= values[inside, 3].min() + 1e-9
+    assert found.lower_bound <= values[inside, 3].min()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        ({"mean": {"positon": 0.04}}, "did you mean 'position'"),
+        ({"minimize": "air"}, "did you mean 'air_use'"),
+        ({"variables": {"dutty": (0.1, 0.9)}}, "did you mean 'duty'"),
+        ({"variables": {"duty": (0.9, 0.1)}}, "expected the lower one first"),
+        ({"variables": {"duty": (0.5, 1.2)}}, "expected 0 to 1"),
+        ({"mean": {"position": (0.05, 0.04)}}, "contradict"),
+        ({"goals": design.Goals(minimum={"position": 0.05}, maximum={"position": 0.04})}, "contradict"),
+        ({"minimize": "mean_error"}, "without wanted means"),
+        ({"minimize": "tracking"}, "without a wanted cycle"),
+        ({"valve": design.ValveLimits(shortest_on=0.1, shortest_off=0.1)}, "more than a period"),
+        ({"variables": {"off_2": (0.1, 0.9)}}, "the valve has 1 pulses"),
+        ({"model": "frozen"}, 'expected "fitted"'),
+        ({"variables": {"supply_pressure": (1e4, 5e5)}}, "below the exhaust pressure"),
+    ],
+)
+def test_bad_input_is_named(machine, call, message):
+    with pytest.raises(ValueError, match=message):
+        design.optimize_duty(machine, 8.0, **call)
+
+
+def test_what_is_not_convex_is_refused_with_the_reason(machine):
+    problem = design.duty_problem(machine, 8.0)
+    with pytest.raises(NotConvexError, match="ripple"):
+        problem.solve(cp.Minimize(0), {"ripple": problem.nominal.amplitude("position") >= 1e-3})
+    with pytest.raises(TypeError, match="comparison"):
+        problem.solve(
+            cp.Minimize(0), {"cone": cp.SOC(problem.nominal.mean("position"), problem.nominal.at("position", [0.0]))}
+        )
+    with pytest.raises(ValueError, match="expected duty"):
+        problem.solve(cp.Minimize(0), start={"phase": 1.0})
+
+
+def test_limits_that_leave_nothing_are_named(machine):
+    problem = design.duty_problem(machine, 8.0, {"duty": (0.1, 0.2)}, valve=design.ValveLimits(shortest_on=0.05))
+    with pytest.raises(ValueError, match="contradict each other"):
+        problem.solve(cp.Minimize(problem.nominal.air_use()))
+
+
+def test_where_stiction_holds_everywhere_the_reason_is_given(machine):
+    with pytest.raises(LtvpneuError, match="stiction holds"):
+        design.optimize_duty(machine, 20.0, {"duty": (0.7, 0.72)}, mean={"position": 0.07})
