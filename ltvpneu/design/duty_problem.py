@@ -48,7 +48,7 @@ LEAST_WIDTH = 2e-3
 """Least share of the turn for a pulse, or between pulses, whatever is asked for: none of them vanishes [-]."""
 
 
-_STARTS = {1: (81, 401), 2: (169, 441)}
+_STARTS = {1: (81, 321), 2: (169, 441)}
 """Settings looked at first; more where that leads to no optimum."""
 
 
@@ -324,7 +324,7 @@ class DutyProblem:
                     begin = best_starts(search, self._own(), count, progress)
                     other = best_from(search, begin, *limits, progress)
                     found = other if found is None or is_better(search, other, found) else found
-                    if found.status == "optimal":
+                    if found.status == "optimal" or (found.status == "infeasible" and len(self.bounds) == 1):
                         break
                 assert found is not None
         return self._solution(found, subproblem, lower)

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, cast, final
+from typing import Any, NamedTuple, cast, final
 
 import cvxpy as cp
 import numpy as np
@@ -25,7 +25,7 @@ from cvxpy.constraints.zero import Equality
 from cvxpy.error import SolverError as CvxpySolverError
 from scipy.stats import qmc
 
-from ltvpneu._arrays import BoolArray, FloatArray
+from ltvpneu._arrays import BoolArray, FloatArray, IntArray
 from ltvpneu.design.solving import TIGHT, why_not_convex
 from ltvpneu.errors import LtvpneuError, NotConvexError, SolverError
 from ltvpneu.models.cycle_figures import CycleFigures, Figure
@@ -34,10 +34,15 @@ Progress = Callable[[str, float], object]
 
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.1, 0.5, 1e-9
 """Of the trust region, as a share of each variable's bounds [-]."""
+NEAREST_TO_NONE = 1e-6
+"""Radius below which a setting next to those without a cycle is not brought any nearer to them [-]."""
 FIRST_PENALTY, LARGEST_PENALTY = 10.0, 1e6
 """On the constraints' scaled violation."""
 LEAST_SHARE = 0.05
 """Share of the foretold fall of the merit that a step must make true [-]."""
+REFINEMENTS, ROUGH, MOST_LOOKS = 3, 0.02, 500
+"""Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
+span, from which they are, and settings looked at at most."""
 STARTS_EACH = 3
 """Settings started from at most, by either ranking."""
 FELT_FROM, FELT_TO = 1e-2, 1e-5
@@ -343,46 +348,86 @@ def best_starts(search: Search, own: FloatArray, count: int, progress: Progress 
     """Return a few settings to start from, the best first, among one's own and a grid's or a Sobol sequence's.
 
     Of one or two settings, those that are better than their neighbours on the grid; by the merit with a low penalty and
-    with a high one, as a setting that keeps the constraints may lie far from one that nearly does.
+    with a high one, as a setting that keeps the constraints may lie far from one that nearly does. A grid of one
+    setting is made finer where figures jump or bend, as where the cycle changes its kind.
     """
-    p, sub = own.size, search.subproblem
-    side = max(round(count ** (1 / p)), 1)
-    shape = (side,) * p if p <= 2 else (count,)
-    points = _even_grid(side, p) if p <= 2 else qmc.Sobol(p, rng=0).random(count) if count else np.zeros((0, p))
-    merits = np.full((points.shape[0] + 1, 2), np.inf)
-    candidates = [own, *points]
-    for number, setting in enumerate(candidates):
+    p = own.size
+    side = max(round(count ** (1 / p)), 2)
+    if p > 2:
+        points = qmc.Sobol(p, rng=0).random(count) if count else np.zeros((0, p))
+    else:
+        points = np.stack(np.meshgrid(*[np.linspace(0, 1, side)] * p, indexing="ij"), axis=-1).reshape(-1, p)
+    looks = [_look(search, own)]
+    for number, setting in enumerate(points):
         if progress is not None:
-            progress("looking at settings", number / len(candidates))
-        if not _within(sub.task, setting):
-            continue
-        figures = search.figures(setting)
-        if figures is None:
-            continue
-        try:
-            sub.scale(setting, figures)
-        except LtvpneuError:
-            continue
-        for column, penalty in enumerate((FIRST_PENALTY, 1e3 * FIRST_PENALTY)):
-            merits[number, column] = sub.merit(setting, figures, penalty)[0]
-    if not np.isfinite(merits).any():
+            progress("looking at settings", number / len(points))
+        looks.append(_look(search, setting))
+    if p == 1:
+        looks[1:] = _refined(search, looks[1:], progress)
+    if not any(np.isfinite(look.merits).all() for look in looks):
         if search.reason is not None:
             raise search.reason
         return [own]
+    shape = (side,) * p if p == 2 else (len(looks) - 1,)
     chosen: list[int] = []
     for column in (0, 1):
-        order = np.argsort(merits[:, column])
-        good = [int(i) for i in order if np.isfinite(merits[i, column])]
+        merits = np.array([look.merits[column] for look in looks])
+        good = [int(i) for i in np.argsort(merits) if np.isfinite(merits[i])]
         if p <= 2:
-            lowest = _lower_than_neighbours(merits[1:, column].reshape(shape))
+            lowest = _lower_than_neighbours(merits[1:].reshape(shape))
             good = [i for i in good if i == 0 or lowest.ravel()[i - 1]]
         chosen += [i for i in good[:STARTS_EACH] if i not in chosen]
-    return [candidates[i] for i in chosen]
+    return [looks[i].setting for i in chosen]
 
 
-def _even_grid(side: int, p: int) -> FloatArray:
-    axis = (np.arange(side) + 0.5) / side
-    return np.stack(np.meshgrid(*[axis] * p, indexing="ij"), axis=-1).reshape(-1, p)
+class _Look(NamedTuple):
+    """What a setting looks like; infinite merits and no values where it has no cycle."""
+
+    setting: FloatArray
+    merits: tuple[float, float]
+    """With a low penalty, and with a high one."""
+    values: FloatArray
+
+
+def _look(search: Search, setting: FloatArray) -> _Look:
+    sub, nothing = search.subproblem, _Look(setting, (np.inf, np.inf), np.zeros(0))
+    figures = search.figures(setting) if _within(sub.task, setting) else None
+    if figures is None:
+        return nothing
+    try:
+        sub.scale(setting, figures)
+    except LtvpneuError:
+        return nothing
+    low, high = (sub.merit(setting, figures, penalty)[0] for penalty in (FIRST_PENALTY, 1e3 * FIRST_PENALTY))
+    return _Look(setting, (low, high), np.concatenate([one.values for one in figures]) if figures else np.zeros(1))
+
+
+def _refined(search: Search, looks: list[_Look], progress: Progress | None) -> list[_Look]:
+    """Return looks along one setting with those between that a jump, a bend or the end of all cycles asks for."""
+    for number in range(REFINEMENTS):
+        rough = _rough_intervals(looks)
+        if len(looks) + rough.size > MOST_LOOKS:
+            break
+        if progress is not None:
+            progress("looking closer where figures jump", number / REFINEMENTS)
+        for i in rough[::-1].tolist():
+            looks.insert(i + 1, _look(search, 0.5 * (looks[i].setting + looks[i + 1].setting)))
+    return looks
+
+
+def _rough_intervals(looks: Sequence[_Look]) -> IntArray:
+    """Return the numbers of the intervals over which values cannot be trusted to go on as they do beside."""
+    m = max(look.values.size for look in looks)
+    values = np.array([look.values if look.values.size else np.full(m, np.nan) for look in looks])
+    places = np.array([look.setting[0] for look in looks])
+    known = np.isfinite(values).all(axis=1)
+    spans = np.ptp(values[known], axis=0) if known.any() else np.zeros(m)
+    slopes = np.diff(values, axis=0) / np.diff(places)[:, None]
+    widths = np.minimum(places[1:-1] - places[:-2], places[2:] - places[1:-1])
+    # What a straight line through two neighbours would be off by.
+    off = np.nan_to_num(np.abs(np.diff(slopes, axis=0)) * widths[:, None] / np.maximum(spans, 1e-300))
+    bent = np.concatenate([[False], off.max(axis=1) > ROUGH, [False]])
+    return np.flatnonzero((known[:-1] != known[1:]) | ((bent[:-1] | bent[1:]) & known[:-1] & known[1:]))
 
 
 def _lower_than_neighbours(values: FloatArray) -> BoolArray:
@@ -504,21 +549,24 @@ class _State:
         self.search, self.sub, self.found, self.tolerance = search, search.subproblem, found, tolerance
         p = found.setting.size
         self.curvature, self.updated = FIRST_CURVATURE * np.eye(p), False
-        self.radius, self.penalty = FIRST_RADIUS, penalty
+        self.radius, self.penalty, self.raised = FIRST_RADIUS, penalty, penalty
         self.blocked, self.collapsed = False, False
+        self.given_up = False
         self.linear = stacked(found.figures, p)
         self.merit, self.broken = self.sub.merit(found.setting, found.figures, self.penalty)
 
     def advance(self) -> bool:
         """Take or refuse one step; return whether the iteration is over."""
         sub, found = self.sub, self.found
+        if not sub.has_objective and self.broken <= FEASIBLE and not self.given_up:
+            return self._settled()
         root: FloatArray = np.linalg.cholesky(self.curvature).T.astype(np.float64)
         answer = sub.ask(found.setting, self.linear, root, self.radius, self.penalty)
         foretold = self.merit - answer.merit - answer.curvature
         if foretold <= ROUNDING or float(np.max(np.abs(answer.step))) <= 0.1 * self.tolerance:
             if self._certified() or self.radius < 10 * SMALLEST_RADIUS:
                 return self._settled()
-            if foretold <= 1e-3 * ROUNDING:
+            if foretold <= 1e-6 * ROUNDING:
                 return self._settled()
         setting, figures = self._trial(answer)
         self.blocked = figures is None
@@ -531,7 +579,7 @@ class _State:
             taken = self._try(again, *self._trial(again), foretold)
         if not taken:
             self.radius = 0.25 * min(self.radius, float(np.max(np.abs(answer.step))))
-            if self.radius < SMALLEST_RADIUS:
+            if self.radius < (NEAREST_TO_NONE if self.blocked else SMALLEST_RADIUS):
                 self.collapsed = True
                 return self._settled()
         return False
@@ -601,16 +649,19 @@ class _State:
         return found.residual <= self.tolerance
 
     def _settled(self) -> bool:
-        """At a stationary point of the merit: over, or a higher penalty, or the constraints alone."""
-        if not self.sub.has_objective or self.broken <= max(FEASIBLE, self.tolerance):
+        """At a stationary point of the merit: over, or the constraints alone, or the objective with a higher penalty."""
+        sub, kept = self.sub, self.broken <= max(FEASIBLE, self.tolerance)
+        if self.given_up or kept == sub.has_objective:
             return True
-        if self.penalty < LARGEST_PENALTY:
-            self.penalty = min(100 * self.penalty, LARGEST_PENALTY)
+        if sub.has_objective:
+            sub.without_objective()
+            self.given_up = self.penalty >= LARGEST_PENALTY
         else:
-            self.sub.without_objective()
-            self.penalty = 1.0
+            sub.restore()
+            self.raised = min(100 * self.raised, LARGEST_PENALTY)
+        self.penalty = self.raised if sub.has_objective else 1.0
         self.radius, self.collapsed = FIRST_RADIUS, False
-        self.merit, self.broken = self.sub.merit(self.found.setting, self.found.figures, self.penalty)
+        self.merit, self.broken = sub.merit(self.found.setting, self.found.figures, self.penalty)
         return False
 
     def finish(self) -> None:

@@ -31,7 +31,7 @@ from ltvpneu.models.turn import Cells, Probes, Turn, march_cells
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 
 FigureKind = Literal["mean", "minimum", "maximum", "at", "air_use"]
-MOST_PERIODS = 500
+MOST_PERIODS = 300
 """Valve periods marched for a cycle; what takes longer, as in chaos, counts as none."""
 WHOLE = -1
 """Instead of a piece's number: all of them."""
