@@ -40,11 +40,13 @@ FIRST_PENALTY, LARGEST_PENALTY = 10.0, 1e6
 """On the constraints' scaled violation."""
 LEAST_SHARE = 0.05
 """Share of the foretold fall of the merit that a step must make true [-]."""
-REFINEMENTS, ROUGH, MOST_LOOKS = 3, 0.02, 500
+REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
 """Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
 span, from which they are, and settings looked at at most."""
+RANKED_BY = (10.0, 300.0, 1e4)
+"""Penalties by which settings to start from are ranked."""
 STARTS_EACH = 3
-"""Settings started from at most, by either ranking."""
+"""Settings started from at most, by each ranking."""
 FELT_FROM, FELT_TO = 1e-2, 1e-5
 """Steps that are tried without derivatives, as shares of the bounds [-]."""
 MOST_FELT = 4
@@ -347,8 +349,8 @@ class Found:
 def best_starts(search: Search, own: FloatArray, count: int, progress: Progress | None) -> list[FloatArray]:
     """Return a few settings to start from, the best first, among one's own and a grid's or a Sobol sequence's.
 
-    Of one or two settings, those that are better than their neighbours on the grid; by the merit with a low penalty and
-    with a high one, as a setting that keeps the constraints may lie far from one that nearly does. A grid of one
+    Of one or two settings, those that are better than their neighbours on the grid; by the merit with low and high
+    penalties, as a setting that keeps the constraints may lie far from one that nearly does. A grid of one
     setting is made finer where figures jump or bend, as where the cycle changes its kind.
     """
     p = own.size
@@ -370,7 +372,7 @@ def best_starts(search: Search, own: FloatArray, count: int, progress: Progress 
         return [own]
     shape = (side,) * p if p == 2 else (len(looks) - 1,)
     chosen: list[int] = []
-    for column in (0, 1):
+    for column in range(len(RANKED_BY)):
         merits = np.array([look.merits[column] for look in looks])
         good = [int(i) for i in np.argsort(merits) if np.isfinite(merits[i])]
         if p <= 2:
@@ -384,13 +386,13 @@ class _Look(NamedTuple):
     """What a setting looks like; infinite merits and no values where it has no cycle."""
 
     setting: FloatArray
-    merits: tuple[float, float]
-    """With a low penalty, and with a high one."""
+    merits: tuple[float, ...]
+    """With each of the penalties of `RANKED_BY`."""
     values: FloatArray
 
 
 def _look(search: Search, setting: FloatArray) -> _Look:
-    sub, nothing = search.subproblem, _Look(setting, (np.inf, np.inf), np.zeros(0))
+    sub, nothing = search.subproblem, _Look(setting, (np.inf,) * len(RANKED_BY), np.zeros(0))
     figures = search.figures(setting) if _within(sub.task, setting) else None
     if figures is None:
         return nothing
@@ -398,8 +400,8 @@ def _look(search: Search, setting: FloatArray) -> _Look:
         sub.scale(setting, figures)
     except LtvpneuError:
         return nothing
-    low, high = (sub.merit(setting, figures, penalty)[0] for penalty in (FIRST_PENALTY, 1e3 * FIRST_PENALTY))
-    return _Look(setting, (low, high), np.concatenate([one.values for one in figures]) if figures else np.zeros(1))
+    merits = tuple(sub.merit(setting, figures, penalty)[0] for penalty in RANKED_BY)
+    return _Look(setting, merits, np.concatenate([one.values for one in figures]) if figures else np.zeros(1))
 
 
 def _refined(search: Search, looks: list[_Look], progress: Progress | None) -> list[_Look]:
