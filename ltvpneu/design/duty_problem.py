@@ -481,8 +481,8 @@ def duty_problem(
     >>> from ltvpneu import design
     >>> problem = design.duty_problem(lp.load_machine("kunt_singh_1990"), 8.0)
     >>> found = problem.solve(cp.Minimize((problem.nominal.mean("position") / 1e-3 - 45) ** 2))
-    >>> print(f"{found.values['duty']:.3f} {1e3 * found.nonlinear['nominal'].mean('position'):.1f} mm")
-    0.479 44.8 mm
+    >>> print(f"{found.values['duty']:.2f} {1e3 * found.nonlinear['nominal'].mean('position'):.0f} mm")
+    0.47 45 mm
     """
     valve = ValveLimits() if valve is None else valve
     is_free = isinstance(frequency, tuple)

@@ -155,7 +155,8 @@ def optimize_pattern(  # noqa: PLR0913 - keyword-only, each with its default
     >>> from ltvpneu import design
     >>> machine = lp.load_machine("kunt_singh_1990")
     >>> found = design.optimize_pattern(machine, 4.0, 12, mean={"position": (0.04, 0.05)})
-    >>> print("".join("1" if on else "0" for on in found.pattern), found.settled)
+    >>> print(found.status, f"{1e3 * found.value:.1f} mm, {found.n_pulses} pulses")
+    optimal 8.9 mm, 5 pulses
     """
     positive("frequency", frequency, "Hz")
     N = whole("n_slots", n_slots, 2)
