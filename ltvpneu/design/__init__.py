@@ -14,9 +14,11 @@ from ltvpneu.design.feedback import (
 )
 from ltvpneu.design.forcing import ForcingProblem, ForcingSolution, forcing_problem
 from ltvpneu.design.pattern import PatternSolution, optimize_pattern
+from ltvpneu.design.stability_map import Box, StabilityMap, stability_map
 from ltvpneu.design.valve_limits import ValveLimits
 
 __all__ = [
+    "Box",
     "Certificate",
     "ClosedLoop",
     "DutyMap",
@@ -29,6 +31,7 @@ __all__ = [
     "Measurement",
     "PatternSolution",
     "PositionController",
+    "StabilityMap",
     "ValveLimits",
     "air_use",
     "common_lyapunov",
@@ -40,5 +43,6 @@ __all__ = [
     "optimize_duty",
     "optimize_pattern",
     "simulate_closed_loop",
+    "stability_map",
     "with_air_use",
 ]

@@ -2,12 +2,18 @@
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from ltvpneu._arrays import BoolArray, FloatArray
 from ltvpneu.design.duty_map import DutyMap
 from ltvpneu.design.duty_problem import DutySolution
 from ltvpneu.design.feedback import ClosedLoop
 from ltvpneu.design.pattern import PatternSolution
+from ltvpneu.design.stability_map import StabilityMap
 from ltvpneu.models.machine import Machine
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.steady import steady_state
@@ -26,6 +32,8 @@ def draw_design(result: object) -> Figure | None:
         return draw_optimum(result)
     if isinstance(result, PatternSolution):
         return draw_pattern(result)
+    if isinstance(result, StabilityMap):
+        return draw_stability_map(result)
     return None
 
 
@@ -54,6 +62,65 @@ def draw_duty_map(found: DutyMap) -> Figure:
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
     return figure
+
+
+def draw_stability_map(found: StabilityMap) -> Figure:
+    """Ripple as shades, stiction bands and unstable models as marks, outlines of what is certified."""
+    figure = Figure(figsize=(7.4, 5.4), layout="constrained")
+    axes = figure.subplots()
+    axes.set_facecolor("0.85")
+    shades = axes.pcolormesh(found.frequencies, found.duties, 1e3 * found.amplitudes.T, cmap="Blues", vmin=0.0)
+    figure.colorbar(shades, ax=axes, label="amplitude of the position, nonlinear [mm]")
+    frequency, duty = np.meshgrid(found.frequencies, found.duties, indexing="ij")
+    marks = [
+        ("held by stiction", ~found.is_unique & np.isfinite(found.amplitudes), "x", PALETTE[3]),
+        ("LTV model not stable", np.isfinite(found.spectral_radii) & ~found.is_stable, "^", PALETTE[2]),
+    ]
+    handles: list[Artist] = []
+    for label, where, marker, colour in marks:
+        if where.any():
+            handles += axes.plot(
+                frequency[where], duty[where], linestyle="none", marker=marker, color=colour, markersize=4, label=label
+            )
+    rate = "" if found.certificate is None else f", box: {found.certificate.decay_rate:.2g} 1/s"
+    outlines = [
+        (f"certified: the LTV model's steps under any switching{rate}", found.is_certified, "-", PALETTE[1]),
+        ("certified: all linearizations (8) along the cycle", found.is_certified & found.stays_in_box, "--", "0.1"),
+    ]
+    for label, where, style, colour in outlines:
+        if where.any():
+            _outline(axes, found.frequencies, found.duties, where, style, colour)
+            handles.append(Line2D([], [], color=colour, linestyle=style, label=label))
+    axes.set_xlabel("valve frequency [Hz]")
+    axes.set_ylabel("duty [-]")
+    axes.set_title(f"{found.machine.name}: stability and ripple", fontsize=11)
+    axes.legend(handles=handles, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12))
+    return figure
+
+
+def _outline(
+    axes: Axes, frequencies: FloatArray, duties: FloatArray, where: BoolArray, style: str, colour: str
+) -> None:
+    """Draw round the points where something holds, along the edges of their cells."""
+    sides = [_cell_edges(frequencies), _cell_edges(duties)]
+    padded = np.pad(where, 1)
+    lines: list[tuple[tuple[float, float], tuple[float, float]]] = []
+    for row, column in np.argwhere(np.diff(padded, axis=0)):
+        if 0 < column <= duties.size:
+            x = sides[0][row]
+            lines.append(((x, sides[1][column - 1]), (x, sides[1][column])))
+    for row, column in np.argwhere(np.diff(padded, axis=1)):
+        if 0 < row <= frequencies.size:
+            y = sides[1][column]
+            lines.append(((sides[0][row - 1], y), (sides[0][row], y)))
+    axes.add_collection(LineCollection(lines, colors=colour, linestyles=style, linewidths=2.0, clip_on=False))
+
+
+def _cell_edges(values: FloatArray) -> FloatArray:
+    if values.size == 1:
+        return np.array([values[0] - 0.5, values[0] + 0.5])
+    middles = (values[:-1] + values[1:]) / 2
+    return np.concatenate([[2 * values[0] - middles[0]], middles, [2 * values[-1] - middles[-1]]])
 
 
 def draw_closed_loop(done: ClosedLoop) -> Figure:

@@ -98,7 +98,7 @@ def orbit_map(
     >>> found.kinds
     (('unique', 'unique', 'subharmonic'), ('unique', 'band', 'band'))
     """
-    duty_grid, frequency_grid = _grid(duties, frequencies)
+    duty_grid, frequency_grid = grid_of(duties, frequencies)
     shape = (frequency_grid.size, duty_grid.size)
     names = ("n_periods", "amplitudes", "means", "n_simulated", "lyapunov_exponents")
     arrays = {name: np.full(shape, np.nan) for name in names}
@@ -153,7 +153,7 @@ def validity_map(
     >>> found.errors.round(1).tolist()
     [[0.1], [0.6]]
     """
-    duty_grid, frequency_grid = _grid(duties, frequencies)
+    duty_grid, frequency_grid = grid_of(duties, frequencies)
     shape = (frequency_grid.size, duty_grid.size)
     amplitudes, errors = np.full(shape, np.nan), np.full(shape, np.nan)
     failures: list[FailedPoint] = []
@@ -179,7 +179,8 @@ def validity_map(
     )
 
 
-def _grid(duties: ArrayLike, frequencies: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def grid_of(duties: ArrayLike, frequencies: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return duties and frequencies as arrays, checked."""
     duty_grid = finite_array("duties", duties, (None,))
     for i, duty in enumerate(duty_grid):
         check_duty(float(duty), f"duties[{i}]")
