@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
@@ -21,6 +21,9 @@ from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
 from ltvpneu.models.ltv import MODES, ltv_model
 from ltvpneu.models.machine import Machine
 from ltvpneu.periodic.floquet import floquet
+
+if TYPE_CHECKING:
+    from ltvpneu.face.study_design import DesignStudy
 
 STABLE, NOT_STABLE, BAD_INPUT = 0, 1, 2
 """Exit codes."""
@@ -182,7 +185,10 @@ def _study(options: argparse.Namespace) -> int:
         raise ValueError(f"--points: found {options.points}, expected 1 or more")
     frequencies = frequency_grid(options.frequency, options.points)
     _make(options.out)
-    total = n_parts(machine, options.frequency, frequencies)
+    # A lazy door: cvxpy takes a second to load, and not every command needs it.
+    from ltvpneu.face.study_design import design_text, n_design_parts, run_design
+
+    total = n_parts(machine, options.frequency, frequencies) + n_design_parts(options.frequency)
     # The first part of the first run takes longest: it compiles the laws.
     with tqdm(total=total, desc="study", unit="part", leave=False) as bar:
         study = run_study(
@@ -193,18 +199,24 @@ def _study(options: argparse.Namespace) -> int:
             grid=frequencies,
             progress=bar.update,
         )
+        if any(case.orbits for case in study.cases):
+            designed = run_design(machine, options.frequency, bar.update)
+        else:
+            designed = None
     print(study_text(study))
-    if not any(case.orbits for case in study.cases):
+    if designed is None:
         raise ValueError("no model gave an orbit at any frequency; the reasons stand in the tables above")
-    written = write_study(study, options.out)
+    print(design_text(designed))
+    written = write_study(study, designed, options.out)
     print("written:", *(f"  {path}" for path in written), sep="\n")
     return 0
 
 
-def write_study(study: Study, folder: Path) -> list[Path]:
+def write_study(study: Study, designed: "DesignStudy", folder: Path) -> list[Path]:
     """Write the pictures and the JSON of a study; return their paths."""
     # A lazy door: matplotlib takes longer to load than the study to run.
     from ltvpneu.face import pictures
+    from ltvpneu.face.study_design import design_data
 
     machine = study.machine
     models = [case.models["ltv"] for case in study.cases if "ltv" in case.models]
@@ -220,12 +232,17 @@ def write_study(study: Study, folder: Path) -> list[Path]:
     found = {f"{case.frequency:g} Hz": case.floquets["ltv"] for case in study.cases if "ltv" in case.floquets}
     if found:
         figures["multipliers"] = pictures.draw(found)
+    figures["duty_map"] = pictures.draw(designed.duties)
+    figures["stability_map"] = pictures.draw(designed.stability)
+    if designed.optimum is not None:
+        figures["optimum"] = pictures.draw(designed.optimum)
     written: list[Path] = []
     for name, figure in figures.items():
         written.append(folder / f"{name}.png")
         figure.savefig(written[-1], dpi=150)
     written.append(folder / "study.json")
-    written[-1].write_text(json.dumps(study_data(study), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    data = study_data(study) | {"design": design_data(designed)}
+    written[-1].write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return written
 
 
