@@ -20,6 +20,8 @@ from ltvpneu.periodic.steady import steady_state
 
 PALETTE = mpl.color_sequences["petroff10"]
 MARKERS = "osD^vP*X"
+MOST_NAMED = 3
+"""Settings that a title names at most."""
 
 
 def draw_design(result: object) -> Figure | None:
@@ -155,8 +157,10 @@ def draw_optimum(found: DutySolution) -> Figure:
     orbits |= {f"nonlinear{'' if name == 'nominal' else ', ' + name}": o for name, o in found.nonlinear.items()}
     if found.corrected is not None:
         orbits["nonlinear, corrected"] = found.corrected.nonlinear["nominal"]
-    settings = ", ".join(f"{name} {value:.4g}" for name, value in found.values.items())
-    title = f"{found.machine.name} at {found.frequency:.4g} Hz: {settings} ({found.status})"
+    # Of many edges the lower panel tells more than a title could.
+    settings = ", ".join(f"{name} {value:.4g}" for name, value in found.values.items() if name != "frequency")
+    shown = f": {settings}" if len(found.values) <= MOST_NAMED else ""
+    title = f"{found.machine.name} at {found.frequency:.4g} Hz{shown} ({found.status})"
     return _cycles_and_openings(orbits, found.machine, found.frequency, title)
 
 
