@@ -143,7 +143,7 @@ class DutySolution:
     status: str
     """"optimal": stationary, all constraints kept. "infeasible": no setting near keeps them; this is the nearest that
     was found. "edge": better settings next to this one have no cycle, as where stiction locks. "stopped": out of
-    iterations, or at a kink of the model, where the residual stays large."""
+    iterations, or where the residual stays large."""
     values: dict[str, float]
     """Of the variables."""
     objective: float
@@ -160,6 +160,9 @@ class DutySolution:
     residual: float
     """Of the conditions of optimality, scaled [-]: the longest of the step that the convex problem with unit curvature
     still takes, the constraints' violation, and their duals times what is left to their bounds."""
+    at_kink: bool
+    """Whether the optimum lies on a kink of the model, as where the piston begins to rest within its cycle: the residual
+    is then that of the slopes on both sides, mixed."""
     merits: tuple[tuple[float, float], ...]
     """Objective plus penalties before and after every step taken, each pair with the same penalty."""
     n_cycles: int
@@ -405,6 +408,7 @@ class DutyProblem:
             duals=found.duals,
             active=found.active + self._at_bounds(found.setting),
             residual=found.residual,
+            at_kink=found.at_kink,
             merits=tuple(found.merits),
             n_cycles=found.n_cycles,
             n_failed=found.n_failed,

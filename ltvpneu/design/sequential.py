@@ -10,6 +10,12 @@ The duals of y = ... are what one more unit of each figure is worth, so nu^T F i
 L^T L is its curvature by damped BFGS updates. A step is taken if the merit, objective plus penalties, falls by a share
 of what the convex problem foretold; else the trust region Delta shrinks. In the end the convex problem with L = I is
 solved once more: the step that it still takes is the gradient of the Lagrangian, the residual of optimality.
+
+Figures have kinks, as where the piston begins to rest within the cycle, and optima like to lie on them. There no step by
+the slopes of one side makes good what it foretells; so the slopes met on both sides are mixed, steps along the kink are
+tried by that mixture, and the residual is that of Clarke's generalized gradient [Clarke1983]_.
+
+.. [Clarke1983] F. H. Clarke, "Optimization and Nonsmooth Analysis", Wiley, 1983, section 2.3.
 """
 
 import warnings
@@ -43,6 +49,11 @@ LEAST_SHARE = 0.05
 REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
 """Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
 span, from which they are, and settings looked at at most."""
+AT_A_KINK, BESIDE = 1e-5, 1e-3
+"""Radius from which on slopes beside are mixed with those here, and how far off they may be, as shares of the bounds [-]."""
+MOST_BESIDE, MOST_PIECES, MIXINGS = 16, 12, 24
+"""Settings remembered, sides of a kink that are mixed at most, and rounds of bisection between two."""
+MOST_MIXTURES = 10
 RANKED_BY = (10.0, 300.0, 1e4)
 """Penalties by which settings to start from are ranked."""
 STARTS_EACH = 3
@@ -342,6 +353,7 @@ class Found:
     merits: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     n_cycles: int = 0
     n_failed: int = 0
+    at_kink: bool = False
     first_broken: float = 0.0
     """Scaled violation at the start."""
 
@@ -554,6 +566,9 @@ class _State:
         self.radius, self.penalty, self.raised = FIRST_RADIUS, penalty, penalty
         self.blocked, self.collapsed = False, False
         self.given_up = False
+        self.beside: list[tuple[FloatArray, list[BlockFigures]]] = []
+        """Settings that were left or refused, the last ones; and the mixture of their slopes with those here."""
+        self.mixture: FloatArray | None = None
         self.linear = stacked(found.figures, p)
         self.merit, self.broken = self.sub.merit(found.setting, found.figures, self.penalty)
 
@@ -581,6 +596,10 @@ class _State:
             taken = self._try(again, *self._trial(again), foretold)
         if not taken:
             self.radius = 0.25 * min(self.radius, float(np.max(np.abs(answer.step))))
+            if self.radius < AT_A_KINK and self.mixture is None and self._along_a_kink(root):
+                return False
+            if self.mixture is not None and self._certified():
+                return self._settled()
             if self.radius < (NEAREST_TO_NONE if self.blocked else SMALLEST_RADIUS):
                 self.collapsed = True
                 return self._settled()
@@ -593,6 +612,7 @@ class _State:
     def _try(self, answer: Answer, setting: FloatArray, figures: list[BlockFigures] | None, foretold: float) -> bool:
         if figures is None:
             return False
+        self.beside = [*self.beside, (setting, figures)][-MOST_BESIDE:]
         merit, broken = self.sub.merit(setting, figures, self.penalty)
         fall = self.merit - merit
         if not (fall >= LEAST_SHARE * foretold and fall > 0):
@@ -606,9 +626,75 @@ class _State:
         linear = stacked(figures, setting.size)
         self._bend(setting - self.found.setting, (linear[1] - self.linear[1]).T @ answer.figure_duals)
         self.found.merits.append((self.merit, min(merit, self.merit)) if fall <= 0 else (self.merit, merit))
-        self.found.setting, self.found.figures = setting, figures
+        self.beside[-1] = self.found.setting, self.found.figures
+        self.found.setting, self.found.figures, self.mixture = setting, figures, None
         self.linear, self.merit, self.broken = linear, merit, broken
         return True
+
+    def _along_a_kink(self, root: FloatArray) -> bool:
+        """Try steps by the mixture of slopes on the sides of a kink; return whether one was taken."""
+        for radius in (1e-2, 1e-3, 1e-4):
+            self.mixture = self._mixed()
+            if self.mixture is None:
+                return False
+            setting, linear = self.found.setting, (self.linear[0], self.mixture)
+            answer = self.sub.ask(setting, linear, root, radius, self.penalty)
+            foretold = self.merit - answer.merit - answer.curvature
+            if foretold <= ROUNDING:
+                return False
+            if self._try(answer, *self._trial(answer), foretold):
+                self.radius = radius
+                return True
+        return False
+
+    def _mixed(self) -> FloatArray | None:
+        r"""Return the mean of slopes here and beside, weighted so that the convex problem foretells the least.
+
+        Where the model has a kink that is the one of Clarke's derivatives that decides: with weights w, by minimax
+        duality, the greatest over w of the least merit over steps is the least over steps of the greatest merit.
+        """
+        here, p = self.found.setting, self.found.setting.size
+        pieces = [self.linear[1]]
+        for setting, figures in reversed(self.beside):
+            distance = float(np.max(np.abs(setting - here)))
+            if not 0 < distance <= BESIDE or len(pieces) == MOST_PIECES:
+                continue
+            try:
+                values, slopes = stacked(figures, p)
+            except LtvpneuError:
+                continue
+            sizes = [float(np.max(np.abs(one), initial=0.0)) for one in (*pieces, slopes)]
+            jumps = float(np.max(np.abs(values - self.linear[0]), initial=0.0)) > 10 * max(sizes) * distance
+            if not jumps and all(np.max(np.abs(slopes - one), initial=0.0) > 1e-4 * max(sizes) for one in pieces):
+                pieces.append(slopes)
+        if len(pieces) == 1:
+            return None
+        stack, weights = np.array(pieces), np.eye(len(pieces))[0]
+        for _ in range(MOST_MIXTURES):
+            answer = self._foretold(np.tensordot(weights, stack, 1))
+            worth = np.array([answer.figure_duals @ (one @ answer.step) for one in pieces])
+            if np.max(np.abs(answer.step)) <= 0.1 * self.tolerance or np.max(worth) - weights @ worth <= 1e-18:
+                break
+            weights = self._between(stack, weights, np.eye(len(pieces))[int(np.argmax(worth))])
+        return np.asarray(np.tensordot(weights, stack, 1), dtype=np.float64)
+
+    def _between(self, stack: FloatArray, weights: FloatArray, other: FloatArray) -> FloatArray:
+        """Return the weights between two, by bisection, from which neither way foretells less."""
+        low, high = 0.0, 1.0
+        change = np.tensordot(other - weights, stack, 1)
+        for _ in range(MIXINGS):
+            share = 0.5 * (low + high)
+            answer = self._foretold(np.tensordot((1 - share) * weights + share * other, stack, 1))
+            if answer.figure_duals @ (change @ answer.step) > 0:
+                low = share
+            else:
+                high = share
+        share = 0.5 * (low + high)
+        return (1 - share) * weights + share * other
+
+    def _foretold(self, slopes: FloatArray) -> Answer:
+        p = self.found.setting.size
+        return self.sub.ask(self.found.setting, (self.linear[0], slopes), np.eye(p), 1.0, self.penalty)
 
     def _bend(self, step: FloatArray, change: FloatArray) -> None:
         """Damped BFGS update of the Lagrangian's curvature."""
@@ -631,7 +717,10 @@ class _State:
 
     def _residual(self, setting: FloatArray, figures: list[BlockFigures]) -> tuple[float, Answer]:
         p = setting.size
-        answer = self.sub.ask(setting, stacked(figures, p), np.eye(p), 1.0, self.penalty)
+        linear = stacked(figures, p)
+        if self.mixture is not None and setting is self.found.setting:
+            linear = linear[0], self.mixture
+        answer = self.sub.ask(setting, linear, np.eye(p), 1.0, self.penalty)
         broken = self.sub.merit(setting, figures, self.penalty)[1]
         room = self.sub.slack(setting, figures)
         idle = max((float(np.max(np.abs(answer.duals[name] * room[name]), initial=0.0)) for name in room), default=0.0)
@@ -644,6 +733,7 @@ class _State:
         """Whether the present setting keeps the conditions of optimality; leaves the residual and the duals."""
         found = self.found
         found.residual, answer = self._residual(found.setting, found.figures)
+        found.at_kink = self.mixture is not None
         found.duals = self.sub.user_duals(answer.duals) if self.sub.has_objective else {}
         found.active = tuple(
             name for name, dual in answer.duals.items() if float(np.max(np.abs(dual), initial=0.0)) > ACTIVE
@@ -651,7 +741,7 @@ class _State:
         return found.residual <= self.tolerance
 
     def _settled(self) -> bool:
-        """At a stationary point of the merit: over, or the constraints alone, or the objective with a higher penalty."""
+        """Where the merit is stationary: over, or the constraints alone, or the objective with a higher penalty."""
         sub, kept = self.sub, self.broken <= max(FEASIBLE, self.tolerance)
         if self.given_up or kept == sub.has_objective:
             return True

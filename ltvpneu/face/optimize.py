@@ -142,7 +142,8 @@ def optimum_text(found: "DutySolution") -> str:
     corrected = found.corrected
     columns = [("linear model", found)] + ([("corrected on the nonlinear model", corrected)] if corrected else [])
     for name, one in columns:
-        parts.append(f"{name}: {said[one.status]} (residual {one.residual:.1e})")
+        kink = ", on a kink of the model" if one.at_kink else ""
+        parts.append(f"{name}: {said[one.status]} (residual {one.residual:.1e}{kink})")
     if not np.isnan(found.lower_bound):
         parts.append(
             f"global search: no setting gets the objective below {found.lower_bound:.6g} ({found.objective:.6g})"
@@ -239,6 +240,7 @@ def optimum_data(found: "DutySolution") -> dict[str, Any]:
             "nonlinear_objective": known(one.nonlinear_objective),
             "lower_bound": known(one.lower_bound),
             "residual": known(one.residual),
+            "at_kink": one.at_kink,
             "duals": {name: known(value) for name, value in one.duals.items()},
             "active": list(one.active),
             "missed_by": {name: known(value) for name, value in one.constraints.items()},

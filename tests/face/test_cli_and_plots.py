@@ -30,7 +30,8 @@ def test_study_prints_tables_and_writes_pictures_and_json(tmp_path, capsys):
     assert code == 0
     names = {path.name for path in tmp_path.iterdir()}
     cycles = {f"cycle_{f}_Hz.png" for f in (1, 4, 10)}
-    assert names == {"valve_areas.png", "amplitude.png", "multipliers.png", "study.json"} | cycles
+    others = {"valve_areas", "amplitude", "multipliers", "duty_map", "stability_map", "optimum"}
+    assert names == {"study.json"} | {f"{name}.png" for name in others} | cycles
     assert all((tmp_path / name).read_bytes().startswith(b"\x89PNG") for name in names if name.endswith("png"))
     data = json.loads((tmp_path / "study.json").read_text())
     case = data["cases"][1]

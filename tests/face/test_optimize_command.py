@@ -1,0 +1,100 @@
+"""`ltvpneu optimize`: its tables, files and exit codes; the design part of `ltvpneu study`."""
+
+import json
+
+import numpy as np
+import pytest
+
+import ltvpneu as lp
+from ltvpneu.face import study_design
+from ltvpneu.face.cli import main
+
+
+def test_an_optimum_is_printed_and_written(tmp_path, capsys):
+    goals = ["--mean", "position=45mm", "--max", "amplitude=5mm", "--minimize", "air_use"]
+    assert main(["optimize", "--frequency", "16 Hz", *goals, "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "optimal: every goal is kept" in printed
+    data = json.loads((tmp_path / "optimum.json").read_text())
+    orbit = lp.nonlinear_orbit(lp.load_machine("kunt_singh_1990").with_duty(data["corrected"]["values"]["duty"]), 16.0)
+    assert orbit.mean("position") == pytest.approx(0.045, abs=1e-5)
+    assert data["corrected"]["nonlinear"]["nominal"]["mean_position"] == pytest.approx(0.045, abs=1e-5)
+    assert data["nonlinear"]["nominal"]["amplitude"] < 5e-3
+    assert data["residual"] < 1e-6
+    assert (tmp_path / "optimum.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_cannot_be_reached_exits_1_with_the_nearest(capsys):
+    assert main(["optimize", "--frequency", "12", "--mean", "position=150mm", "--free", "duty=0.2..0.6"]) == 1
+    printed = capsys.readouterr().out
+    assert "this one comes nearest" in printed
+    assert "duty <= 0.6" in printed
+
+
+def test_scenarios_delays_and_pulses_are_taken(capsys):
+    valve = ["--shortest-on", "5", "--opening-delay", "3", "--closing-delay", "2"]
+    mean = ["--mean", "position=40mm..55mm", "--minimize", "air_use", "--free", "duty=0.3..0.6"]
+    assert main(["optimize", "--frequency", "12", *mean, *valve, "--scenario", "supply_pressure=-5%"]) == 0
+    printed = capsys.readouterr().out
+    assert "supply_pressure -5%" in printed
+    assert next(line for line in printed.splitlines() if "command on" in line).split()[2:] == ["-3.000", "ms"] * 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (["--mean", "positon=45mm"], "did you mean 'position'"),
+        (["--mean", "position"], "expected NAME=VALUE"),
+        (["--mean", "position=45kg"], "a mass, expected a length"),
+        (["--mean", "position=50mm..40mm"], "contradict each other"),
+        (["--max", "noise=3"], "expected one of amplitude, air_use"),
+        (["--free", "duty=0.1"], "its least and greatest value"),
+        (["--free", "duti=0.1..0.9"], "did you mean 'duty'"),
+        (["--scenario", "supply_pressure=10"], "expected a change such as -10%"),
+        (["--minimize", "airuse"], "did you mean 'air_use'"),
+        (["--pulses", "0"], "--pulses: found 0"),
+        (["--shortest-on", "100", "--shortest-off", "100"], "more than a period"),
+    ],
+)
+def test_bad_goals_exit_2(arguments, match, capsys):
+    assert main(["optimize", "--frequency", "8", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert match in captured.err
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize("frequency", ["0", "-3", "nan", "8..x", "12..6"])
+def test_bad_frequencies_exit_2(frequency, capsys):
+    assert main(["optimize", f"--frequency={frequency}", "--mean", "position=45mm"]) == 2
+    assert "frequency" in capsys.readouterr().err
+
+
+def test_the_study_s_design_part(table_1, monkeypatch):
+    monkeypatch.setattr(study_design, "DUTIES", np.array([0.3, 0.45, 0.6]))
+    monkeypatch.setattr(study_design, "MAP_DUTIES", np.array([0.3, 0.5]))
+    monkeypatch.setattr(study_design, "N_FREQUENCIES", 3)
+    done: list[int] = []
+    found = study_design.run_design(table_1, [8.0, 12.0], done.append)
+    assert sum(done) == study_design.n_design_parts([8.0, 12.0])
+    printed, data = study_design.design_text(found), study_design.design_data(found)
+    orbit = lp.nonlinear_orbit(table_1.with_duty(0.45), 12.0)
+    assert f"{1e3 * orbit.mean('position'):.2f} / {1e3 * orbit.amplitude('position'):.2f}" in printed
+    assert data["duty_map"]["means"][1][1] == pytest.approx(orbit.mean("position"), rel=1e-12)
+    assert data["example"]["amplitude"] == pytest.approx(orbit.amplitude("position") / 2, rel=1e-12)
+    corrected = data["optimum"]["corrected"]["nonlinear"]["nominal"]
+    assert corrected["amplitude"] <= data["example"]["amplitude"] * (1 + 1e-6)
+    assert corrected["mean_position"] == pytest.approx(data["example"]["mean"], abs=1e-6)
+    assert np.array(data["stability_map"]["decay_rates"]).shape == (3, 2)
+    assert "One Lyapunov function serves" in printed
+    json.dumps(data, allow_nan=False)
+
+
+def test_where_nothing_moves_the_study_says_so(table_1, monkeypatch):
+    monkeypatch.setattr(study_design, "DUTIES", np.array([0.85, 0.9]))
+    monkeypatch.setattr(study_design, "MAP_DUTIES", np.array([0.9]))
+    monkeypatch.setattr(study_design, "N_FREQUENCIES", 1)
+    found = study_design.run_design(table_1, [20.0], lambda n: None)
+    assert found.optimum is None
+    printed = study_design.design_text(found)
+    assert "the piston moves at no duty" in printed
+    assert "In brackets: stiction holds" in printed
