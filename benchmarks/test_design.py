@@ -9,14 +9,19 @@ edge, n pulses 2 n - 1: the first edge only shifts the cycle in time. Run with
 
 import math
 import time
+from collections.abc import Callable
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
 from scipy.optimize import minimize
 
 import ltvpneu as lp
 from ltvpneu import design
+from ltvpneu.design.sequential import stacked
+from ltvpneu.design.solving import TIGHT
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycle_figures import Figure, LinearCycles
 from ltvpneu.models.nonlinear_figures import NonlinearCycles
@@ -25,7 +30,7 @@ from ltvpneu.models.parameters import present_value
 MEAN = 0.045
 
 
-def pulsed(n_pulses):
+def pulsed(n_pulses: int) -> tuple[lp.Machine, float, list[str]]:
     """Pulses of uneven width, evenly spaced; slow enough that the piston follows each."""
     machine, turn = lp.load_machine("kunt_singh_1990"), 2 * math.pi / n_pulses
     if n_pulses == 1:
@@ -36,14 +41,16 @@ def pulsed(n_pulses):
     return machine, 8.0 / n_pulses, names
 
 
-def by_slsqp(cycles, machine, frequency, names, most):
+def by_slsqp(
+    cycles: LinearCycles | NonlinearCycles, machine: lp.Machine, frequency: float, names: list[str], most: float
+) -> tuple[float, float, int]:
     """Minimize by SLSQP over the edges as shares of the turn; values are kept for the constraints' sake."""
     figures = [Figure("mean", 0), Figure("minimum", 0), Figure("maximum", 0), Figure("air_use")]
     size = 1.0 if names == ["duty"] else 2 * math.pi
     start = np.array([present_value(machine, frequency, name) for name in names]) / size
     kept: dict[bytes, np.ndarray] = {}
 
-    def values(x):
+    def values(x: Any) -> Any:
         key = x.tobytes()
         if key not in kept:
             try:
@@ -70,7 +77,7 @@ def by_slsqp(cycles, machine, frequency, names, most):
     return air_use, max(abs(mean - MEAN), amplitude - most, 0.0), len(kept)
 
 
-def timed(function, repeats=3):
+def timed(function: Callable[[], Any], repeats: int = 3) -> tuple[float, Any]:
     best, result = math.inf, None
     for _ in range(repeats):
         begin = time.perf_counter()
@@ -80,11 +87,11 @@ def timed(function, repeats=3):
 
 
 @pytest.mark.parametrize("n_pulses", [1, 2, 4, 8])
-def test_edges(benchmark, n_pulses):
+def test_edges(benchmark: BenchmarkFixture, n_pulses: int) -> None:
     machine, frequency, names = pulsed(n_pulses)
     most = 25e-3
 
-    def ours():
+    def ours() -> Any:
         problem = design.duty_problem(machine, frequency)
         cycle = problem.nominal
         return problem.solve(
@@ -116,29 +123,23 @@ def test_edges(benchmark, n_pulses):
     benchmark.pedantic(ours, rounds=1)
 
 
-def test_a_re_solve_against_cvxpy_alone(benchmark):
+def test_a_re_solve_against_cvxpy_alone(benchmark: BenchmarkFixture) -> None:
     """The convex problem with new numbers, against a bare parametrized problem of the same size and kind."""
     machine, frequency, names = pulsed(4)
     problem = design.duty_problem(machine, frequency)
     cycle = problem.nominal
     objective = cp.Minimize(cycle.air_use())
-    constraints = {"mean": cycle.mean("position") == MEAN, "ripple": cycle.amplitude("position") <= 25e-3}
-    from ltvpneu.design.sequential import Search, Subproblem, Task, stacked
-    from ltvpneu.design.solving import TIGHT
-
-    task = Task(
-        step=problem._step, setting=problem._setting, blocks=tuple(problem._blocks), objective=objective,
-        constraints=constraints, limits=problem.limits,
-    )  # fmt: skip
-    sub = Subproblem(task)
-    cycles = problem._cycles("fitted", 1)
-    search = Search(subproblem=sub, evaluate=lambda setting: problem._evaluate(cycles, setting))
-    begin = problem._own()
-    figures = search.figures(begin)
+    constraints: dict[str, Any] = {
+        "mean": cycle.mean("position") == MEAN,
+        "ripple": cycle.amplitude("position") <= 25e-3,
+    }
+    search = problem.search(objective, constraints, "fitted", 1)
+    sub, begin = search.subproblem, problem.own_setting
+    figures = search.evaluate(begin)
     sub.scale(begin, figures)
     linear, p = stacked(figures, len(names)), len(names)
 
-    def ours():
+    def ours() -> Any:
         return sub.ask(begin, linear, np.eye(p), 0.1, 10.0)
 
     m = linear[0].size
@@ -154,11 +155,12 @@ def test_a_re_solve_against_cvxpy_alone(benchmark):
         ],
     )  # fmt: skip
 
-    def alone():
+    def alone() -> Any:
         values.value, slopes.value, root.value = linear[0], linear[1], np.eye(p)
         return bare.solve(solver=cp.CLARABEL, **TIGHT)
 
-    ours(), alone()
+    ours()
+    alone()
     one, two = timed(lambda: [ours() for _ in range(20)])[0], timed(lambda: [alone() for _ in range(20)])[0]
     print(f"\nre-solve: {50 * one:.2f} ms, bare cvxpy {50 * two:.2f} ms, ratio {one / two:.2f}")
     benchmark.pedantic(ours, rounds=1)

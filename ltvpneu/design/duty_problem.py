@@ -161,8 +161,8 @@ class DutySolution:
     """Of the conditions of optimality, scaled [-]: the longest of the step that the convex problem with unit curvature
     still takes, the constraints' violation, and their duals times what is left to their bounds."""
     at_kink: bool
-    """Whether the optimum lies on a kink of the model, as where the piston begins to rest within its cycle: the residual
-    is then that of the slopes on both sides, mixed."""
+    """Whether the optimum lies on a kink of the model, as where the piston begins to rest within its cycle: then the
+    residual is that of the slopes on both sides, mixed."""
     merits: tuple[tuple[float, float], ...]
     """Objective plus penalties before and after every step taken, each pair with the same penalty."""
     n_cycles: int
@@ -301,6 +301,29 @@ class DutyProblem:
         LtvpneuError
             No setting looked at has a cycle: the last one's reason.
         """
+        search = self.search(objective, constraints, model, steps_per_position)
+        if globally:
+            found, lower = search_globally(search, tolerance, max_iterations, progress)
+        else:
+            lower, limits = math.nan, (tolerance, max_iterations)
+            if start is not None:
+                found = best_from(search, [self._given(start)], *limits, progress)
+            else:
+                counts = _STARTS.get(len(self.bounds), (16,)) if n_starts is None else (whole("n_starts", n_starts),)
+                found = None
+                for count in counts:
+                    begin = best_starts(search, self.own_setting, count, progress)
+                    other = best_from(search, begin, *limits, progress)
+                    found = other if found is None or is_better(search, other, found) else found
+                    if found.status == "optimal" or (found.status == "infeasible" and len(self.bounds) == 1):
+                        break
+                assert found is not None
+        return self._solution(found, search.subproblem, lower)
+
+    def search(
+        self, objective: cp.Minimize | cp.Maximize, constraints: Constraints, model: ModelKind, steps_per_position: int
+    ) -> Search:
+        """Return the convex problem of a step, and where its figures come from; what `solve` searches with."""
         asked: Any = objective
         if not isinstance(asked, cp.Minimize | cp.Maximize):
             raise TypeError(f"objective: found {type(asked).__name__}, expected cvxpy.Minimize or cvxpy.Maximize")
@@ -312,26 +335,13 @@ class DutyProblem:
             constraints=named_constraints(constraints),
             limits=self.limits,
         )
-        subproblem = Subproblem(task)
         cycles = self._cycles(model, steps_per_position)
-        search = Search(subproblem=subproblem, evaluate=lambda setting: self._evaluate(cycles, setting))
-        if globally:
-            found, lower = search_globally(search, tolerance, max_iterations, progress)
-        else:
-            lower, limits = math.nan, (tolerance, max_iterations)
-            if start is not None:
-                found = best_from(search, [self._given(start)], *limits, progress)
-            else:
-                counts = _STARTS.get(len(self.bounds), (16,)) if n_starts is None else (whole("n_starts", n_starts),)
-                found = None
-                for count in counts:
-                    begin = best_starts(search, self._own(), count, progress)
-                    other = best_from(search, begin, *limits, progress)
-                    found = other if found is None or is_better(search, other, found) else found
-                    if found.status == "optimal" or (found.status == "infeasible" and len(self.bounds) == 1):
-                        break
-                assert found is not None
-        return self._solution(found, subproblem, lower)
+        return Search(subproblem=Subproblem(task), evaluate=lambda setting: self._evaluate(cycles, setting))
+
+    @property
+    def own_setting(self) -> FloatArray:
+        """The machine's own values, as shares of the bounds."""
+        return self._given({})
 
     def values_at(self, setting: FloatArray) -> dict[str, float]:
         """Return the variables at a setting, each as a share of its bounds."""
@@ -375,9 +385,6 @@ class DutyProblem:
                 raise ValueError(f"start: found {name!r}, expected {', '.join(self.bounds)}")
         own = {name: present_value(self.machine, self.frequency, name) for name in self.bounds}
         return self._setting_of(own | dict(start))
-
-    def _own(self) -> FloatArray:
-        return self._given({})
 
     def _setting_of(self, values: Mapping[str, float]) -> FloatArray:
         shares = [(finite(name, values[name]) - low) / (high - low) for name, (low, high) in self.bounds.items()]

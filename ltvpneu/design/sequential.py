@@ -11,9 +11,9 @@ L^T L is its curvature by damped BFGS updates. A step is taken if the merit, obj
 of what the convex problem foretold; else the trust region Delta shrinks. In the end the convex problem with L = I is
 solved once more: the step that it still takes is the gradient of the Lagrangian, the residual of optimality.
 
-Figures have kinks, as where the piston begins to rest within the cycle, and optima like to lie on them. There no step by
-the slopes of one side makes good what it foretells; so the slopes met on both sides are mixed, steps along the kink are
-tried by that mixture, and the residual is that of Clarke's generalized gradient [Clarke1983]_.
+Figures have kinks, as where the piston begins to rest within the cycle, and optima like to lie on them. There no step
+by the slopes of one side makes good what it foretells; so the slopes met on both sides are mixed, steps along the kink
+are tried by that mixture, and the residual is that of Clarke's generalized gradient [Clarke1983]_.
 
 .. [Clarke1983] F. H. Clarke, "Optimization and Nonsmooth Analysis", Wiley, 1983, section 2.3.
 """
@@ -50,7 +50,7 @@ REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
 """Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
 span, from which they are, and settings looked at at most."""
 AT_A_KINK, BESIDE = 1e-5, 1e-3
-"""Radius from which on slopes beside are mixed with those here, and how far off they may be, as shares of the bounds [-]."""
+"""Radius from which on slopes beside are mixed with those here, and how far off they may be, of the bounds [-]."""
 MOST_BESIDE, MOST_PIECES, MIXINGS = 16, 12, 24
 """Settings remembered, sides of a kink that are mixed at most, and rounds of bisection between two."""
 MOST_MIXTURES = 10
@@ -434,7 +434,7 @@ def _rough_intervals(looks: Sequence[_Look]) -> IntArray:
     m = max(look.values.size for look in looks)
     values = np.array([look.values if look.values.size else np.full(m, np.nan) for look in looks])
     places = np.array([look.setting[0] for look in looks])
-    known = np.isfinite(values).all(axis=1)
+    known = np.logical_and.reduce(np.isfinite(values), axis=1)
     spans = np.ptp(values[known], axis=0) if known.any() else np.zeros(m)
     slopes = np.diff(values, axis=0) / np.diff(places)[:, None]
     widths = np.minimum(places[1:-1] - places[:-2], places[2:] - places[1:-1])

@@ -1,8 +1,9 @@
 """Stability and ripple over duty and frequency, and where one Lyapunov function proves the stability.
 
 Two regions are certified, by one function of a box of operating points. Where it proves decay for every step matrix of
-a point's LTV model, that model is stable at any duty, pattern and frequency of these steps. Where moreover the nonlinear
-machine's whole cycle stays in the box, the same holds of every linearization (8) along the cycle, at any instant.
+a point's LTV model, that model is stable at any duty, pattern and frequency of these steps. Where moreover the
+nonlinear machine's whole cycle stays in the box, the same holds of every linearization (8) along the cycle, at any
+instant.
 Dry friction is in neither: the paper's linearization leaves it out.
 """
 
@@ -85,7 +86,7 @@ class StabilityMap:
         return self.decay_rates > 0
 
 
-def stability_map(
+def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
     machine: Machine,
     duties: ArrayLike,
     frequencies: ArrayLike,
@@ -160,7 +161,8 @@ def stability_map(
             arrays["decay_rates"][place] = verified_rate(model.system.A, certificate.functions[0])
         limits = np.array([box.position, *box.pressures])
         visited = np.delete(ranges, 1, axis=3)
-        stays = ((visited[:, :, 0] >= limits[:, 0]) & (visited[:, :, 1] <= limits[:, 1])).all(axis=2)
+        inside = (visited[:, :, 0] >= limits[:, 0]) & (visited[:, :, 1] <= limits[:, 1])
+        stays = np.logical_and.reduce(inside, axis=2)
     return StabilityMap(
         machine=machine,
         frequencies=frequency_grid,

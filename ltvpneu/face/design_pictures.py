@@ -1,5 +1,7 @@
 """Pictures of what `ltvpneu.design` returns; loaded only for these."""
 
+from typing import Any
+
 import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
@@ -85,8 +87,8 @@ def draw_stability_map(found: StabilityMap) -> Figure:
                 frequency[where], duty[where], linestyle="none", marker=marker, color=colour, markersize=4, label=label
             )
     rate = "" if found.certificate is None else f", box: {found.certificate.decay_rate:.2g} 1/s"
-    outlines = [
-        (f"certified: the LTV model's steps under any switching{rate}", found.is_certified, "-", PALETTE[1]),
+    outlines: list[tuple[str, BoolArray, Any, str]] = [
+        (f"certified: the LTV model's steps under any switching{rate}", found.is_certified, "-", str(PALETTE[1])),
         ("certified: all linearizations (8) along the cycle", found.is_certified & found.stays_in_box, "--", "0.1"),
     ]
     for label, where, style, colour in outlines:
@@ -101,20 +103,20 @@ def draw_stability_map(found: StabilityMap) -> Figure:
 
 
 def _outline(
-    axes: Axes, frequencies: FloatArray, duties: FloatArray, where: BoolArray, style: str, colour: str
+    axes: Axes, frequencies: FloatArray, duties: FloatArray, where: BoolArray, style: Any, colour: str
 ) -> None:
     """Draw round the points where something holds, along the edges of their cells."""
     sides = [_cell_edges(frequencies), _cell_edges(duties)]
     padded = np.pad(where, 1)
-    lines: list[tuple[tuple[float, float], tuple[float, float]]] = []
+    lines: list[Any] = []
     for row, column in np.argwhere(np.diff(padded, axis=0)):
         if 0 < column <= duties.size:
             x = sides[0][row]
-            lines.append(((x, sides[1][column - 1]), (x, sides[1][column])))
+            lines.append([(x, sides[1][column - 1]), (x, sides[1][column])])
     for row, column in np.argwhere(np.diff(padded, axis=1)):
         if 0 < row <= frequencies.size:
             y = sides[1][column]
-            lines.append(((sides[0][row - 1], y), (sides[0][row], y)))
+            lines.append([(sides[0][row - 1], y), (sides[0][row], y)])
     axes.add_collection(LineCollection(lines, colors=colour, linestyles=style, linewidths=2.0, clip_on=False))
 
 

@@ -98,8 +98,9 @@ def design_text(found: DesignStudy) -> str:
     if found.example is not None:
         wanted = found.example
         parts.append(
-            f"  Least air for a mean of {1e3 * wanted.mean:.2f} mm with no more than {1e3 * wanted.amplitude:.3f} mm of "
-            f"amplitude, half of what it is at {wanted.frequency:g} Hz: at up to {FASTEST * wanted.frequency:g} Hz, any duty."
+            f"  Least air for a mean of {1e3 * wanted.mean:.2f} mm with no more than {1e3 * wanted.amplitude:.3f} mm "
+            f"of amplitude,\n  half of what it is at {wanted.frequency:g} Hz: at up to "
+            f"{FASTEST * wanted.frequency:g} Hz, and any duty."
         )
     parts.append(f"  none: {found.failure}" if found.optimum is None else optimum_text(found.optimum))
     return "\n".join(parts) + "\n"

@@ -6,7 +6,8 @@ scaled states cell c of the linear model takes its start y_c and its duration ta
 .. math:: dy_{c+1} = A_c\, dy_c + b_c\, d\tau_c + e_c\, d\theta, \qquad (I - A_{N-1} \cdots A_0)\, dy_0 = \ldots
 
 and a figure is a sum over cells, or the state at a place in one of them. An extreme's place is kept: the signal's slope
-vanishes there, or it lies at a switch or an event and moves with it. A, b and e are central differences through each cell's fit.
+vanishes there, or it lies at a switch or an event and moves with it. A, b and e are central differences through each
+cell's fit.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -26,7 +26,7 @@ class Probes(NamedTuple):
     cells: IntArray
     """(n_probes,)"""
     rows: IntArray
-    """Which step of the cell, where events cut it into several; below zero, whichever the share falls in; (n_probes,)."""
+    """Which step of the cell, where events cut it into several; below zero, whichever the share is in; (n_probes,)."""
     shares: FloatArray
     """Of the step's duration, or of the cell's, (n_probes,)."""
 
