@@ -5,6 +5,7 @@ import math
 import cvxpy as cp
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import ltvpneu as lp
 from ltvpneu import design
@@ -108,6 +109,28 @@ def test_the_residual_is_that_of_the_problem(machine):
     )
     saved = (found.objective - looser.objective) / 2e-5
     assert saved == pytest.approx(found.duals["amplitude position"], rel=0.05)
+
+
+def test_an_optimum_on_a_kink_is_one(machine):
+    """Least air at 45 mm lies where the piston begins to rest within its cycle; a line along the goal shows it."""
+    found = design.optimize_duty(
+        machine, (10.0, 30.0), mean={"position": 0.045}, amplitude={"position": 2e-3}, minimize="air_use"
+    )
+    assert (found.status, found.at_kink) == ("optimal", True)
+    assert found.residual < 1e-6
+    beside = []
+    for frequency in found.frequency * (1 + np.array([-0.02, -1e-3, 1e-3, 0.02])):
+        cycles = LinearCycles(machine, frequency)
+
+        def off(duty, cycles=cycles):
+            return cycles.figures({"duty": duty}, FIGURES, []).values[0] - 0.045
+
+        duty = brentq(off, found.values["duty"] - 0.03, found.values["duty"] + 0.03, xtol=1e-10)
+        beside.append(cycles.figures({"duty": duty}, FIGURES, []).values[3])
+    assert min(beside) > found.objective
+    # A kink, no valley: the slope does not shrink with the distance.
+    near, far = (beside[1] - found.objective) / 1e-3, (beside[0] - found.objective) / 0.02
+    assert near > 0.3 * far
 
 
 def test_45_mm_at_8_hz_on_the_nonlinear_machine(machine):
