@@ -20,8 +20,8 @@ from scipy.optimize import minimize
 
 import ltvpneu as lp
 from ltvpneu import design
-from ltvpneu.design.sequential import stacked
 from ltvpneu.design.solving import TIGHT
+from ltvpneu.design.subproblem import stacked
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycle_figures import Figure, LinearCycles
 from ltvpneu.models.nonlinear_figures import NonlinearCycles

@@ -20,8 +20,9 @@ from ltvpneu.design.duty_problem import (
     Scenario,
     duty_problem,
 )
-from ltvpneu.design.sequential import Progress
+from ltvpneu.design.starts import Progress
 from ltvpneu.design.valve_limits import ValveLimits
+from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.machine import Machine
 
 Wanted = float | tuple[float | None, float | None]
@@ -97,7 +98,8 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     model, steps_per_position, globally, progress
         As of `DutyProblem.solve`.
     correct : bool
-        Go on from the linear model's optimum on the nonlinear machine; the result is in `.corrected`.
+        Go on from the linear model's optimum on the nonlinear machine; the result is in `.corrected`, or why there is
+        none, as where stiction holds the machine there, in `.not_corrected`.
 
     Returns
     -------
@@ -130,6 +132,9 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
         mean={**(goals.mean or {}), **(mean or {})},
         amplitude={**(goals.amplitude or {}), **(amplitude or {})},
     )
+    minimize = str(minimize).strip()
+    if goals.cycle and minimize != "tracking":
+        raise ValueError(f'goals: found a wanted cycle with minimize={minimize!r}, expected minimize="tracking"')
     problem = duty_problem(machine, frequency, variables, scenarios=scenarios, valve=valve)
     constraints = _constraints(problem, goals, minimize)
     objective = cp.Minimize(_objective(problem, goals, minimize))
@@ -143,7 +148,10 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     )
     if not correct or model == "nonlinear":
         return found
-    corrected = problem.solve(objective, constraints, model="nonlinear", start=found.values, progress=progress)
+    try:
+        corrected = problem.solve(objective, constraints, model="nonlinear", start=found.values, progress=progress)
+    except (LtvpneuError, ValueError) as error:
+        return replace(found, not_corrected=str(error))
     return replace(found, corrected=corrected)
 
 
@@ -174,7 +182,7 @@ def _objective(problem: DutyProblem, goals: Goals, minimize: str) -> Any:
 
 def _mean_error(cycle: LinearizedCycle, signal: str, wanted: Wanted) -> Any:
     mean, size = cycle.mean(signal), cycle.size(signal)
-    low, high = wanted if isinstance(wanted, tuple) else (wanted, wanted)
+    low, high = wanted_bounds(f"mean[{signal!r}]", wanted)
     if low is not None and low == high:
         return cp.square((mean - low) / size)
     over = 0 if high is None else cp.square(cp.pos((mean - high) / size))
@@ -196,7 +204,7 @@ def _constraints(problem: DutyProblem, goals: Goals, minimize: str) -> dict[str,
             if minimize == "mean_error":
                 break
             low, high = wanted_bounds(f"mean[{signal!r}]", wanted)
-            if low is not None and low == high:
+            if not isinstance(wanted, tuple):
                 if name == NOMINAL:
                     found[f"mean {signal}"] = cycle.mean(signal) == low
                 continue

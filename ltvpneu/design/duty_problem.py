@@ -9,7 +9,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, Literal, Protocol, final
+from functools import partial
+from typing import Any, Literal, Protocol, cast, final
 
 import cvxpy as cp
 import numpy as np
@@ -17,19 +18,10 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite, finite_array, positive, whole
 from ltvpneu.design.global_search import search_globally
-from ltvpneu.design.sequential import (
-    BlockFigures,
-    FigureBlock,
-    Found,
-    Progress,
-    Search,
-    Subproblem,
-    Task,
-    best_from,
-    best_starts,
-    is_better,
-)
+from ltvpneu.design.sequential import Found, best_from, is_better
 from ltvpneu.design.solving import Constraints, named_constraints
+from ltvpneu.design.starts import Progress, best_starts
+from ltvpneu.design.subproblem import BlockFigures, FigureBlock, Search, Subproblem, Task
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycle_figures import CycleFigures, Figure, LinearCycles
@@ -153,8 +145,10 @@ class DutySolution:
     nonlinear_constraints: dict[str, float]
     """The same on the nonlinear machine; nan where that has no cycle."""
     nonlinear_objective: float
+    """The same on the nonlinear machine; nan where it has no cycle, or where infeasible."""
     duals: dict[str, float]
-    """Of the constraints: how fast the objective falls with each one's bound, in its own unit."""
+    """Of the constraints: how fast the objective gets better as an inequality's bound is loosened, never below zero, or
+    as the right side of an equation rises, in its own unit."""
     active: tuple[str, ...]
     """Constraints, and bounds of variables, that hold the design."""
     residual: float
@@ -188,6 +182,8 @@ class DutySolution:
     settings looked at holds; see `global_search`."""
     corrected: "DutySolution | None" = None
     """The same problem solved from here on the nonlinear machine, where that was asked for."""
+    not_corrected: str = ""
+    """Why it was not, where that was asked for."""
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name} {value:.6g}" for name, value in self.values.items())
@@ -234,13 +230,22 @@ class DutyProblem:
             "air_use": _flow_size(machine),
         }
         self.scenarios = {
-            name: LinearizedCycle(name, change(machine), self._blocks, scales)
-            for name, change in {NOMINAL: _as_it_is, **scenarios}.items()
+            name: LinearizedCycle(name, self._changed(name, machine), self._blocks, scales)
+            for name in (NOMINAL, *scenarios)
         }
         self.limits: dict[str, cp.Constraint] = {}
 
     def __repr__(self) -> str:
         return f"<DutyProblem of {self.machine.name}: {', '.join(self.bounds)}; {len(self.scenarios)} scenarios>"
+
+    def _changed(self, name: str, machine: Machine) -> Machine:
+        """Return what a scenario makes of the machine, with its variables set."""
+        if name not in self._changes:
+            return machine
+        found: Any = self._changes[name](machine)
+        if not isinstance(found, Machine):
+            raise TypeError(f"scenarios: {name!r} returned {type(found).__name__}, expected the changed Machine")
+        return found
 
     @property
     def nominal(self) -> LinearizedCycle:
@@ -249,9 +254,9 @@ class DutyProblem:
 
     def switching(self) -> cp.Expression:
         """Return how often the valves switch on [1/s]."""
-        pulses = self.machine.openings.jumps.size // 2
+        pulses = len(pulse_edges(self.machine)) // 2
         found = self.variables.get("frequency")
-        return max(pulses, 1) * (cp.Constant(self.frequency) if found is None else found)
+        return (pulses + len(self.machine.more_valves)) * (cp.Constant(self.frequency) if found is None else found)
 
     def solve(  # noqa: PLR0913 - keyword-only, each with its default
         self,
@@ -355,12 +360,13 @@ class DutyProblem:
             raise ValueError(f'model: found {model!r}, expected "fitted", "self-consistent" or "nonlinear"')
         whole("steps_per_position", steps_per_position)
         found: dict[str, Cycles] = {}
-        for name, cycle in self.scenarios.items():
+        for name in self.scenarios:
+            change = partial(self._changed, name) if name in self._changes else None
             if model == "nonlinear":
-                found[name] = NonlinearCycles(cycle.machine, self.frequency)
+                found[name] = NonlinearCycles(self.machine, self.frequency, change)
             else:
                 mode: OwnCycle = model
-                found[name] = LinearCycles(cycle.machine, self.frequency, mode, steps_per_position)
+                found[name] = LinearCycles(self.machine, self.frequency, mode, steps_per_position, change=change)
         return found
 
     def _evaluate(self, cycles: Mapping[str, Cycles], setting: FloatArray) -> list[BlockFigures]:
@@ -380,9 +386,12 @@ class DutyProblem:
         return [one for one in found if one is not None]
 
     def _given(self, start: Mapping[str, float]) -> FloatArray:
-        for name in start:
+        for name, value in start.items():
             if name not in self.bounds:
                 raise ValueError(f"start: found {name!r}, expected {', '.join(self.bounds)}")
+            low, high = self.bounds[name]
+            if not low <= finite(f"start[{name!r}]", value) <= high:
+                raise ValueError(f"start: found {value:g} for {name!r}, expected {low:g} to {high:g}, its bounds")
         own = {name: present_value(self.machine, self.frequency, name) for name in self.bounds}
         return self._setting_of(own | dict(start))
 
@@ -411,7 +420,7 @@ class DutyProblem:
             objective=objective if found.status != "infeasible" else math.nan,
             constraints=broken,
             nonlinear_constraints=nonlinear[1],
-            nonlinear_objective=nonlinear[0],
+            nonlinear_objective=nonlinear[0] if found.status != "infeasible" else math.nan,
             duals=found.duals,
             active=found.active + self._at_bounds(found.setting),
             residual=found.residual,
@@ -424,7 +433,7 @@ class DutyProblem:
             frequency=frequency,
             commands=self._commands(machine, frequency),
             model=self._model(found.figures),
-            scenario_machines={name: with_values(cycle.machine, values) for name, cycle in self.scenarios.items()},
+            scenario_machines={name: self._changed(name, machine) for name in self.scenarios},
             nonlinear=orbits,
             lower_bound=lower,
         )
@@ -469,7 +478,8 @@ def duty_problem(
         [rad], "more_valves.0.start" [rad], "supply_pressure" [Pa], or any number of the machine as in
         `parameter_sensitivity`. By default the duty, or, of a machine with several pulses, all edges but the first.
     scenarios : mapping of str to callable, optional
-        Each takes the machine to what it may be instead: lower supply pressure, more friction, another load.
+        Each takes the machine, its variables set, to what it may be instead: lower supply pressure, more friction,
+        another load.
     valve : ValveLimits, optional
         Shortest commands, and delays: angles and duty are those at which the valve is open, `DutySolution.commands`
         what it has to be told.
@@ -496,19 +506,25 @@ def duty_problem(
     0.47 45 mm
     """
     valve = ValveLimits() if valve is None else valve
-    is_free = isinstance(frequency, tuple)
     bounds = dict(_default_variables(machine) if variables is None else variables)
-    if isinstance(frequency, tuple):
-        bounds["frequency"] = frequency
-        present = math.sqrt(positive("frequency", frequency[0], "Hz") * positive("frequency", frequency[1], "Hz"))
+    asked: Any = frequency
+    if isinstance(asked, tuple | list):
+        if "frequency" in bounds:
+            raise ValueError("frequency: found bounds here and among the variables, expected them in one of the two")
+        bounds["frequency"] = cast(Bounds, tuple(cast(Sequence[float], asked)))
+    if "frequency" in bounds:
+        _check_pair("frequency", bounds["frequency"])
+        low, high = (positive("frequency", value, "Hz") for value in bounds["frequency"])
+        present = math.sqrt(low * high)
     else:
-        present = positive("frequency", frequency, "Hz")
+        present = positive("frequency", cast(float, frequency), "Hz")
     if not bounds:
         raise ValueError("variables: found none, expected at least one")
+    _expect_one_way_to_switch(machine, bounds)
     for name, pair in bounds.items():
         _check_bounds(machine, present, name, pair)
     problem = DutyProblem(machine, present, bounds, dict(scenarios or {}), valve)
-    problem.limits.update(_pulse_limits(problem, is_free))
+    problem.limits.update(_pulse_limits(problem))
     return problem
 
 
@@ -521,12 +537,29 @@ def _default_variables(machine: Machine) -> dict[str, Bounds]:
     return dict.fromkeys(names, (first, first + 2 * math.pi))
 
 
-def _check_bounds(machine: Machine, frequency: float, name: str, pair: Any) -> None:
-    if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
+def _expect_one_way_to_switch(machine: Machine, bounds: Mapping[str, Bounds]) -> None:
+    edges = [name for name in bounds if pulse_edge(name) is not None]
+    ways = [name for name in ("duty", "offset_angle") if name in bounds] + edges[:1]
+    if len(ways) > 1:
+        raise ValueError(
+            f"variables: found {' and '.join(map(repr, ways))}, which set the same switching; expected one of them"
+        )
+    n_pulses = len(pulse_edges(machine)) // 2
+    if "duty" in bounds and n_pulses > 1:
+        raise ValueError(f"variables: found 'duty' of a valve with {n_pulses} pulses, expected their edges, as 'off_1'")
+
+
+def _check_pair(name: str, pair: Any) -> None:
+    if not isinstance(pair, Sequence) or isinstance(pair, str) or len(cast(Sequence[Any], pair)) != 2:
         raise ValueError(f"variables: found {pair!r} for {name!r}, expected its least and its greatest value")
-    low, high = (finite(name, value) for value in pair)
+    low, high = (finite(name, value) for value in cast(Sequence[float], pair))
     if low >= high:
         raise ValueError(f"variables: found bounds {low:g} to {high:g} of {name!r}, expected the lower one first")
+
+
+def _check_bounds(machine: Machine, frequency: float, name: str, pair: Bounds) -> None:
+    _check_pair(name, pair)
+    low, high = pair
     try:
         present_value(machine, frequency, name)
     except ValueError as error:
@@ -544,37 +577,51 @@ def _check_bounds(machine: Machine, frequency: float, name: str, pair: Any) -> N
                 raise ValueError(f"variables: found {value:g} for {name!r}: {error}") from None
 
 
-def _pulse_limits(problem: DutyProblem, is_free: bool) -> dict[str, cp.Constraint]:
+def _pulse_limits(problem: DutyProblem) -> dict[str, cp.Constraint]:
     """Return constraints that keep commanded pulses and pauses long enough, and the edges in order."""
     variables, machine, valve = problem.variables, problem.machine, problem.valve
-    frequency = variables["frequency"] if is_free else cp.Constant(problem.frequency)
-    slowest = problem.bounds["frequency"][0] if is_free else problem.frequency
-    if (valve.shortest_on + valve.shortest_off) * slowest > 1:
+    frequency: Any = variables.get("frequency", cp.Constant(problem.frequency))
+    slowest = problem.bounds["frequency"][0] if "frequency" in variables else problem.frequency
+    # A command shorter than the valve's delay does not reach it.
+    shortest_on = max(valve.shortest_on, valve.opening_delay)
+    shortest_off = max(valve.shortest_off, valve.closing_delay)
+    if (shortest_on + shortest_off) * slowest > 1:
         raise ValueError(
-            f"valve: found shortest times of {valve.shortest_on:g} s on and {valve.shortest_off:g} s off, more than a "
-            f"period of {1 / slowest:g} s; expected shorter ones, or a lower frequency"
+            f"valve: found shortest times of {shortest_on:g} s on and {shortest_off:g} s off, delays counted in, more "
+            f"than a period of {1 / slowest:g} s; expected shorter ones, or a lower frequency"
         )
     # Open times, less by the lag than what is commanded.
     least_on, least_off = (
-        cp.maximum(time * frequency, LEAST_WIDTH)
-        for time in (valve.shortest_on - valve.lag, valve.shortest_off + valve.lag)
+        cp.maximum(time * frequency, LEAST_WIDTH) for time in (shortest_on - valve.lag, shortest_off + valve.lag)
     )
-    found: dict[str, cp.Constraint] = {}
     if "duty" in variables:
-        found["shortest pulse"] = variables["duty"] >= least_on
-        found["shortest pause"] = 1 - variables["duty"] >= least_off
-        return found
-    if not any(pulse_edge(name) is not None for name in variables):
-        return found
-    given = pulse_edges(machine)
-    edges = [
+        return {
+            "shortest pulse": variables["duty"] >= least_on,
+            "shortest pause": 1 - variables["duty"] >= least_off,
+        }
+    edges: list[Any] = [
         variables.get(f"{'off' if i % 2 else 'on'}_{i // 2 + 1}", cp.Constant(float(edge)))
-        for i, edge in enumerate(given)
+        for i, edge in enumerate(pulse_edges(machine))
     ]
+    if "offset_angle" in variables:
+        # On while both windows are open: for half a turn less the offset, whichever way.
+        edges = [cp.Constant(0.0), math.pi - cp.abs(variables["offset_angle"])]
+    found: dict[str, cp.Constraint] = {}
     for i, (before, after) in enumerate(zip(edges, [*edges[1:], edges[0] + 2 * math.pi], strict=True)):
-        least = (least_off if i % 2 else least_on) * (2 * math.pi)
-        if before.variables() or after.variables():
-            found[f"shortest {'pause' if i % 2 else 'pulse'} {i // 2 + 1}"] = after - before >= least
+        if i % 2 and "offset_angle" in variables:
+            # The pause is half a turn at least.
+            break
+        width, least = after - before, (least_off if i % 2 else least_on) * (2 * math.pi)
+        name = f"shortest {'pause' if i % 2 else 'pulse'} {i // 2 + 1}"
+        if width.variables() or least.variables():
+            found[name] = width >= least
+            continue
+        open_for, asked = float(np.asarray(width.value)), float(np.asarray(least.value))
+        if 0 < open_for < min(2 * math.pi, asked - 1e-9):
+            raise ValueError(
+                f"valve: the machine's {name[9:]} lasts {open_for / (2 * math.pi * slowest):g} s, which is shorter "
+                "than the valve can be told to; expected it longer, or among the variables"
+            )
     return found
 
 
@@ -585,7 +632,3 @@ def _flow_size(machine: Machine) -> float:
     choked = 0.7 / math.sqrt(gas.specific_gas_constant * gas.temperature)
     largest = float(np.sum(np.max(areas, axis=0))) if areas.size else 0.0
     return choked * machine.supply_pressure * largest or 1.0
-
-
-def _as_it_is(machine: Machine) -> Machine:
-    return machine

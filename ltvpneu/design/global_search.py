@@ -16,11 +16,14 @@ from typing import Any, NamedTuple, cast
 
 import cvxpy as cp
 import numpy as np
+from cvxpy.error import SolverError as CvxpySolverError
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu.design.sequential import FEASIBLE, FIRST_PENALTY, Found, Progress, Search, best_from, stacked
+from ltvpneu.design.sequential import FEASIBLE, FIRST_PENALTY, Found, best_from
 from ltvpneu.design.solving import TIGHT
-from ltvpneu.errors import SolverError
+from ltvpneu.design.starts import Progress
+from ltvpneu.design.subproblem import Search, stacked
+from ltvpneu.errors import LtvpneuError
 
 FIRST_PARTS = {1: 16, 2: 8}
 """Parts that each side is cut into first."""
@@ -65,14 +68,18 @@ class _Relaxation:
         self.values.value, self.slopes.value = box.values, box.slopes
         self.centre.value, self.half.value = box.centre, box.half
         self.room.value = 0.5 * box.curvature * float(box.half @ box.half) + FEASIBLE
-        self.problem.solve(solver=cp.CLARABEL, **TIGHT)
+        try:
+            self.problem.solve(solver=cp.CLARABEL, **TIGHT)
+        except CvxpySolverError:
+            # Nothing is known of the box: it is looked at in parts.
+            return -np.inf
         status = str(self.problem.status)
         if status.startswith("infeasible"):
             return np.inf
         if status.startswith("unbounded"):
             return -np.inf
         if not status.startswith("optimal"):
-            raise SolverError(f"the solver ended with status {status!r}", status=status)
+            return -np.inf
         return float(cast(float, self.problem.value))
 
 
@@ -165,7 +172,10 @@ def _looked_at(search: Search, setting: FloatArray) -> tuple[FloatArray, FloatAr
     figures = search.figures(setting)
     if figures is None:
         return None
-    return (*stacked(figures, setting.size), figures)
+    try:
+        return (*stacked(figures, setting.size), figures)
+    except (LtvpneuError, ValueError):
+        return None
 
 
 def _neighbours(place: tuple[int, ...]) -> list[tuple[int, ...]]:

@@ -18,25 +18,18 @@ are tried by that mixture, and the residual is that of Clarke's generalized grad
 .. [Clarke1983] F. H. Clarke, "Optimization and Nonsmooth Analysis", Wiley, 1983, section 2.3.
 """
 
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, NamedTuple, cast, final
+from typing import final
 
 import cvxpy as cp
 import numpy as np
-from cvxpy.constraints.nonpos import Inequality
-from cvxpy.constraints.zero import Equality
-from cvxpy.error import SolverError as CvxpySolverError
-from scipy.stats import qmc
 
-from ltvpneu._arrays import BoolArray, FloatArray, IntArray
-from ltvpneu.design.solving import TIGHT, why_not_convex
-from ltvpneu.errors import LtvpneuError, NotConvexError, SolverError
-from ltvpneu.models.cycle_figures import CycleFigures, Figure
-
-Progress = Callable[[str, float], object]
+from ltvpneu._arrays import FloatArray
+from ltvpneu.design.kink import Here, mixed_slopes
+from ltvpneu.design.starts import Progress
+from ltvpneu.design.subproblem import Answer, BlockFigures, Search, Task, stacked, within_limits
+from ltvpneu.errors import LtvpneuError
 
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.1, 0.5, 1e-9
 """Of the trust region, as a share of each variable's bounds [-]."""
@@ -46,18 +39,10 @@ FIRST_PENALTY, LARGEST_PENALTY = 10.0, 1e6
 """On the constraints' scaled violation."""
 LEAST_SHARE = 0.05
 """Share of the foretold fall of the merit that a step must make true [-]."""
-REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
-"""Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
-span, from which they are, and settings looked at at most."""
-AT_A_KINK, BESIDE = 1e-5, 1e-3
-"""Radius from which on slopes beside are mixed with those here, and how far off they may be, of the bounds [-]."""
-MOST_BESIDE, MOST_PIECES, MIXINGS = 16, 12, 24
-"""Settings remembered, sides of a kink that are mixed at most, and rounds of bisection between two."""
-MOST_MIXTURES = 10
-RANKED_BY = (10.0, 300.0, 1e4)
-"""Penalties by which settings to start from are ranked."""
-STARTS_EACH = 3
-"""Settings started from at most, by each ranking."""
+AT_A_KINK = 1e-5
+"""Radius from which on slopes beside are mixed with those here, as a share of the bounds [-]."""
+MOST_BESIDE = 16
+"""Settings beside that are remembered."""
 FELT_FROM, FELT_TO = 1e-2, 1e-5
 """Steps that are tried without derivatives, as shares of the bounds [-]."""
 MOST_FELT = 4
@@ -65,278 +50,10 @@ MOST_FELT = 4
 ROUNDING = 1e-9
 """Changes of the merit that the cycles' own accuracy does not tell from none [-]."""
 FIRST_CURVATURE = 0.1
-SIZED_BY = 1e-2
-"""Share of the bounds over which the sizes of objective and constraints are taken [-]."""
 FEASIBLE = 1e-7
 """Scaled violation up to which a constraint counts as kept [-]."""
 ACTIVE = 1e-6
 """Scaled dual above which a constraint counts as active [-]."""
-
-
-@final
-class FigureBlock:
-    """Figures that belong together: a cvxpy variable, and the numbers of its linearization."""
-
-    def __init__(self, *, scenario: str, figures: tuple[Figure, ...], scale: float) -> None:
-        self.scenario, self.figures, self.scale = scenario, figures, scale
-        self.variable = cp.Variable(len(figures))
-
-
-@final
-class BlockFigures:
-    """A block's values, and its slopes over the settings when asked for, in the block's scale."""
-
-    def __init__(self, cycle: CycleFigures, rows: slice, widths: FloatArray, scale: float) -> None:
-        self.cycle, self._rows, self._widths, self._scale = cycle, rows, widths, scale
-        self.values = cycle.values[rows] / scale
-
-    @cached_property
-    def jacobian(self) -> FloatArray:
-        """Slopes of the figures over the settings, (n_figures, n_variables)."""
-        return self.cycle.jacobian[self._rows] * self._widths / self._scale
-
-
-@final
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Task:
-    """What is to be solved."""
-
-    step: cp.Variable
-    setting: cp.Variable
-    blocks: tuple[FigureBlock, ...]
-    objective: cp.Minimize | cp.Maximize
-    constraints: dict[str, cp.Constraint]
-    limits: dict[str, cp.Constraint]
-
-
-@final
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Answer:
-    """What one convex problem says."""
-
-    step: FloatArray
-    merit: float
-    """Foretold, without the curvature's part."""
-    curvature: float
-    figure_duals: FloatArray
-    """Of the figures, one after the other: what one unit more of each costs."""
-    duals: dict[str, FloatArray]
-    """Of the constraints, scaled."""
-
-
-@final
-class Subproblem:
-    """The convex problem, built once."""
-
-    def __init__(self, task: Task) -> None:
-        self.task = task
-        sign = 1.0 if isinstance(task.objective, cp.Minimize) else -1.0
-        self.sign = sign
-        self._expression: Any = sign * task.objective.args[0]
-        for name, constraint in task.constraints.items():
-            if not isinstance(constraint, Inequality | Equality):
-                raise TypeError(f"{name}: found {type(constraint).__name__}, expected a comparison by <=, >= or ==")
-        named: dict[str, cp.Constraint] = {**task.constraints, **task.limits}
-        plain = cp.Problem(task.objective, list(named.values()))
-        if not plain.is_dcp():
-            raise NotConvexError(why_not_convex(plain, task.objective, named))
-        p = task.step.size
-        m = sum(block.variable.size for block in task.blocks)
-        self.n_figures, self.n_variables = m, p
-        self._values, self._slopes = cp.Parameter(m), cp.Parameter((m, p))
-        self._at, self._root, self._radius = cp.Parameter(p), cp.Parameter((p, p)), cp.Parameter(nonneg=True)
-        self._penalty, self._weight = cp.Parameter(nonneg=True), 1.0
-        self._sizes: dict[str, float] = {}
-        self._problems: dict[bool, cp.Problem] = {}
-        self._links: list[Any] = []
-        self._kept: dict[str, Any] = {}
-        self._excess: Any = cp.Constant(0.0)
-
-    # Values at figures
-    # -----------------------------------------------------------------------------------------------------
-
-    def put(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> None:
-        """Give the expressions the values that figures have at a setting."""
-        self.task.setting.value = setting
-        for block, one in zip(self.task.blocks, figures, strict=True):
-            block.variable.value = one.values
-
-    def measured(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> tuple[float, dict[str, float]]:
-        """Return the objective, and by how much each constraint is broken, in the user's units."""
-        self.put(setting, figures)
-        value = _number(self.task.objective.args[0])
-        broken = {name: float(np.max(np.atleast_1d(_violation(c)))) for name, c in self.task.constraints.items()}
-        return value, broken
-
-    def merit(self, setting: FloatArray, figures: Sequence[BlockFigures], penalty: float) -> tuple[float, float]:
-        """Return the merit, and the sum of the scaled violations."""
-        self.put(setting, figures)
-        broken = sum(
-            float(np.sum(_violation(constraint))) / self._sizes[name]
-            for name, constraint in self.task.constraints.items()
-        )
-        return self._weight * _number(self._expression) / self._sizes[""] + penalty * broken, broken
-
-    def slack(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> dict[str, FloatArray]:
-        """Return the scaled residuals of the constraints: below zero, kept with room."""
-        self.put(setting, figures)
-        return {
-            name: np.asarray(cast(Any, constraint).expr.value, dtype=np.float64) / self._sizes[name]
-            for name, constraint in self.task.constraints.items()
-        }
-
-    # The convex problem
-    # -----------------------------------------------------------------------------------------------------
-
-    def scale(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> None:
-        """Set the sizes of objective and constraints from their slopes at the first point, and build the problem."""
-        if self._sizes:
-            return
-        self.put(setting, figures)
-        slopes = np.vstack([one.jacobian for one in figures]) if figures else np.zeros((0, self.n_variables))
-        self._sizes = {"": max(self._size(self._expression, slopes), 1e-300)}
-        for name, constraint in self.task.constraints.items():
-            self._sizes[name] = max(self._size(cast(Any, constraint).expr, slopes), 1e-300)
-        self._build()
-
-    def _size(self, expression: Any, slopes: FloatArray) -> float:
-        """Return how much an expression changes over the bounds of the settings, by its slopes; else its value."""
-        blocks, setting = self.task.blocks, np.asarray(self.task.setting.value, dtype=np.float64)
-        present, values = _array(expression), [np.asarray(block.variable.value) for block in blocks]
-        found = float(np.max(np.abs(present), initial=0.0)) * 1e-3
-        for j, direction in enumerate(np.eye(self.n_variables)):
-            first = 0
-            for block, value in zip(blocks, values, strict=True):
-                block.variable.value = value + SIZED_BY * slopes[first : first + value.size, j]
-                first += value.size
-            self.task.setting.value = setting + SIZED_BY * direction
-            change = np.abs(_array(expression) - present) / SIZED_BY
-            found = max(found, float(np.max(np.nan_to_num(change, posinf=0.0), initial=0.0)))
-        for block, value in zip(blocks, values, strict=True):
-            block.variable.value = value
-        self.task.setting.value = setting
-        return found or 1.0
-
-    def _build(self) -> None:
-        task, p = self.task, self.n_variables
-        all_figures = cp.hstack([block.variable for block in task.blocks]) if task.blocks else None
-        self._links = [task.setting == self._at + task.step]
-        if all_figures is not None:
-            self._links.insert(0, all_figures == self._values + self._slopes @ task.step)
-        hard: list[Any] = [cp.abs(task.step) <= self._radius, task.setting >= 0, task.setting <= 1]
-        hard += list(task.limits.values())
-        excess: list[Any] = []
-        self._kept = {}
-        for name, constraint in task.constraints.items():
-            left = cast(Any, constraint).expr / self._sizes[name]
-            over = cp.Variable(left.shape, nonneg=True)
-            excess.append(cp.sum(over))
-            if isinstance(constraint, Equality):
-                under = cp.Variable(left.shape, nonneg=True)
-                excess.append(cp.sum(under))
-                self._kept[name] = left == over - under
-            else:
-                self._kept[name] = left <= over
-        self._excess = cp.sum(cp.hstack(excess)) if excess else cp.Constant(0.0)
-        curvature = 0.5 * cp.sum_squares(self._root @ task.step) if p else cp.Constant(0.0)
-        every = [*self._links, *hard, *self._kept.values()]
-        for with_objective in (True, False):
-            goal = self.goal if with_objective else cp.Constant(0.0)
-            self._problems[with_objective] = cp.Problem(
-                cp.Minimize(goal + self._penalty * self._excess + curvature), every
-            )
-
-    def ask(
-        self, setting: FloatArray, linear: tuple[FloatArray, FloatArray], root: FloatArray, radius: float,
-        penalty: float,
-    ) -> Answer:  # fmt: skip
-        """Solve the convex problem about a setting; `linear` are the figures' values and slopes.
-
-        Raises
-        ------
-        SolverError
-        """
-        values, slopes = linear
-        if self.n_figures:
-            self._values.value, self._slopes.value = values, slopes
-        self._at.value, self._root.value, self._radius.value, self._penalty.value = setting, root, radius, penalty
-        problem = self._problems[self._weight > 0]
-        try:
-            with warnings.catch_warnings():
-                # cvxpy's warning of an inaccurate answer: what comes of it is checked against the cycle itself.
-                warnings.simplefilter("ignore", UserWarning)
-                problem.solve(solver=cp.CLARABEL, **TIGHT)
-        except CvxpySolverError as error:
-            raise SolverError(f"the solver failed: {error}", status="solver_error") from None
-        if problem.status in ("infeasible", "infeasible_inaccurate"):
-            raise SolverError(
-                "no setting within the bounds keeps the limits on pulses, pauses and variables: they contradict each "
-                "other",
-                status="infeasible",
-            )
-        if problem.status not in ("optimal", "optimal_inaccurate"):
-            raise SolverError(f"the solver ended with status {problem.status!r}", status=str(problem.status))
-        step = np.asarray(self.task.step.value, dtype=np.float64)
-        bent = 0.5 * float(np.sum((root @ step) ** 2))
-        return Answer(
-            step=step,
-            merit=float(cast(float, problem.value)) - bent,
-            curvature=bent,
-            figure_duals=-np.asarray(self._links[0].dual_value) if self.n_figures else np.zeros(0),
-            duals={name: np.asarray(kept.dual_value, dtype=np.float64) for name, kept in self._kept.items()},
-        )
-
-    def without_objective(self) -> None:
-        """From now on, only the constraints' violation counts."""
-        self._weight = 0.0
-
-    def restore(self) -> None:
-        """From now on, the objective counts again."""
-        self._weight = 1.0
-
-    @property
-    def goal(self) -> Any:
-        """The objective, scaled, to be made small."""
-        return self._expression / self._sizes[""]
-
-    def in_user_units(self, value: float) -> float:
-        """Return a scaled objective in the user's unit."""
-        return self.sign * value * self._sizes[""]
-
-    @property
-    def has_objective(self) -> bool:
-        """Whether the objective counts."""
-        return self._weight > 0
-
-    def user_duals(self, duals: Mapping[str, FloatArray]) -> dict[str, float]:
-        """Return the constraints' duals in the user's units, their sum where a constraint has several rows."""
-        size = self._sizes[""]
-        return {name: float(np.sum(dual)) * size / self._sizes[name] for name, dual in duals.items()}
-
-
-@final
-@dataclass(eq=False, kw_only=True)
-class Search:
-    """A convex problem, and where its figures come from."""
-
-    subproblem: Subproblem
-    evaluate: Callable[[FloatArray], list[BlockFigures]]
-    """From a setting, shares of the bounds, to the figures of every block."""
-    n_cycles: int = 0
-    n_failed: int = 0
-    reason: LtvpneuError | ValueError | None = None
-    """Why the last setting without a cycle has none."""
-
-    def figures(self, setting: FloatArray) -> list[BlockFigures] | None:
-        """Return the figures at a setting; None where a model has no cycle there."""
-        try:
-            found = self.evaluate(setting)
-        except (LtvpneuError, ValueError) as error:
-            self.n_failed += 1
-            self.reason = error
-            return None
-        self.n_cycles += 1
-        return found
 
 
 @final
@@ -356,102 +73,6 @@ class Found:
     at_kink: bool = False
     first_broken: float = 0.0
     """Scaled violation at the start."""
-
-
-def best_starts(search: Search, own: FloatArray, count: int, progress: Progress | None) -> list[FloatArray]:
-    """Return a few settings to start from, the best first, among one's own and a grid's or a Sobol sequence's.
-
-    Of one or two settings, those that are better than their neighbours on the grid; by the merit with low and high
-    penalties, as a setting that keeps the constraints may lie far from one that nearly does. A grid of one
-    setting is made finer where figures jump or bend, as where the cycle changes its kind.
-    """
-    p = own.size
-    side = max(round(count ** (1 / p)), 2)
-    if p > 2:
-        points = qmc.Sobol(p, rng=0).random(count) if count else np.zeros((0, p))
-    else:
-        points = np.stack(np.meshgrid(*[np.linspace(0, 1, side)] * p, indexing="ij"), axis=-1).reshape(-1, p)
-    looks = [_look(search, own)]
-    for number, setting in enumerate(points):
-        if progress is not None:
-            progress("looking at settings", number / len(points))
-        looks.append(_look(search, setting))
-    if p == 1:
-        looks[1:] = _refined(search, looks[1:], progress)
-    if not any(np.isfinite(look.merits).all() for look in looks):
-        if search.reason is not None:
-            raise search.reason
-        return [own]
-    shape = (side,) * p if p == 2 else (len(looks) - 1,)
-    chosen: list[int] = []
-    for column in range(len(RANKED_BY)):
-        merits = np.array([look.merits[column] for look in looks])
-        good = [int(i) for i in np.argsort(merits) if np.isfinite(merits[i])]
-        if p <= 2:
-            lowest = _lower_than_neighbours(merits[1:].reshape(shape))
-            good = [i for i in good if i == 0 or lowest.ravel()[i - 1]]
-        chosen += [i for i in good[:STARTS_EACH] if i not in chosen]
-    return [looks[i].setting for i in chosen]
-
-
-class _Look(NamedTuple):
-    """What a setting looks like; infinite merits and no values where it has no cycle."""
-
-    setting: FloatArray
-    merits: tuple[float, ...]
-    """With each of the penalties of `RANKED_BY`."""
-    values: FloatArray
-
-
-def _look(search: Search, setting: FloatArray) -> _Look:
-    sub, nothing = search.subproblem, _Look(setting, (np.inf,) * len(RANKED_BY), np.zeros(0))
-    figures = search.figures(setting) if _within(sub.task, setting) else None
-    if figures is None:
-        return nothing
-    try:
-        sub.scale(setting, figures)
-    except LtvpneuError:
-        return nothing
-    merits = tuple(sub.merit(setting, figures, penalty)[0] for penalty in RANKED_BY)
-    return _Look(setting, merits, np.concatenate([one.values for one in figures]) if figures else np.zeros(1))
-
-
-def _refined(search: Search, looks: list[_Look], progress: Progress | None) -> list[_Look]:
-    """Return looks along one setting with those between that a jump, a bend or the end of all cycles asks for."""
-    for number in range(REFINEMENTS):
-        rough = _rough_intervals(looks)
-        if len(looks) + rough.size > MOST_LOOKS:
-            break
-        if progress is not None:
-            progress("looking closer where figures jump", number / REFINEMENTS)
-        for i in rough[::-1].tolist():
-            looks.insert(i + 1, _look(search, 0.5 * (looks[i].setting + looks[i + 1].setting)))
-    return looks
-
-
-def _rough_intervals(looks: Sequence[_Look]) -> IntArray:
-    """Return the numbers of the intervals over which values cannot be trusted to go on as they do beside."""
-    m = max(look.values.size for look in looks)
-    values = np.array([look.values if look.values.size else np.full(m, np.nan) for look in looks])
-    places = np.array([look.setting[0] for look in looks])
-    known = np.logical_and.reduce(np.isfinite(values), axis=1)
-    spans = np.ptp(values[known], axis=0) if known.any() else np.zeros(m)
-    slopes = np.diff(values, axis=0) / np.diff(places)[:, None]
-    widths = np.minimum(places[1:-1] - places[:-2], places[2:] - places[1:-1])
-    # What a straight line through two neighbours would be off by.
-    off = np.nan_to_num(np.abs(np.diff(slopes, axis=0)) * widths[:, None] / np.maximum(spans, 1e-300))
-    bent = np.concatenate([[False], off.max(axis=1) > ROUGH, [False]])
-    return np.flatnonzero((known[:-1] != known[1:]) | ((bent[:-1] | bent[1:]) & known[:-1] & known[1:]))
-
-
-def _lower_than_neighbours(values: FloatArray) -> BoolArray:
-    padded = np.pad(values, 1, constant_values=np.inf)
-    lowest = np.isfinite(values)
-    middle = (slice(1, -1),) * values.ndim
-    for axis in range(values.ndim):
-        for shift in (-1, 1):
-            lowest &= values <= np.roll(padded, shift, axis)[middle]
-    return lowest
 
 
 def best_from(
@@ -509,7 +130,7 @@ def feel_about(search: Search, found: Found, tolerance: float) -> Found:
         moved = False
         for direction in [*np.eye(p), *-np.eye(p)]:
             tried = np.clip(setting + length * direction, 0.0, 1.0)
-            there = search.figures(tried) if _within(sub.task, tried) else None
+            there = search.figures(tried) if within_limits(sub.task, tried) else None
             if there is None:
                 continue
             new = sub.merit(tried, there, penalty)[0]
@@ -523,12 +144,6 @@ def feel_about(search: Search, found: Found, tolerance: float) -> Found:
         state.finish()
         return state.found
     return found
-
-
-def _within(task: Task, setting: FloatArray) -> bool:
-    """Whether a setting keeps the limits."""
-    task.setting.value = setting
-    return all(bool(np.all(_violation(limit) <= 1e-9)) for limit in task.limits.values())
 
 
 def converge(
@@ -634,7 +249,7 @@ class _State:
     def _along_a_kink(self, root: FloatArray) -> bool:
         """Try steps by the mixture of slopes on the sides of a kink; return whether one was taken."""
         for radius in (1e-2, 1e-3, 1e-4):
-            self.mixture = self._mixed()
+            self.mixture = mixed_slopes(self._here(), self.beside)
             if self.mixture is None:
                 return False
             setting, linear = self.found.setting, (self.linear[0], self.mixture)
@@ -647,54 +262,8 @@ class _State:
                 return True
         return False
 
-    def _mixed(self) -> FloatArray | None:
-        r"""Return the mean of slopes here and beside, weighted so that the convex problem foretells the least.
-
-        Where the model has a kink that is the one of Clarke's derivatives that decides: with weights w, by minimax
-        duality, the greatest over w of the least merit over steps is the least over steps of the greatest merit.
-        """
-        here, p = self.found.setting, self.found.setting.size
-        pieces = [self.linear[1]]
-        for setting, figures in reversed(self.beside):
-            distance = float(np.max(np.abs(setting - here)))
-            if not 0 < distance <= BESIDE or len(pieces) == MOST_PIECES:
-                continue
-            try:
-                values, slopes = stacked(figures, p)
-            except LtvpneuError:
-                continue
-            sizes = [float(np.max(np.abs(one), initial=0.0)) for one in (*pieces, slopes)]
-            jumps = float(np.max(np.abs(values - self.linear[0]), initial=0.0)) > 10 * max(sizes) * distance
-            if not jumps and all(np.max(np.abs(slopes - one), initial=0.0) > 1e-4 * max(sizes) for one in pieces):
-                pieces.append(slopes)
-        if len(pieces) == 1:
-            return None
-        stack, weights = np.array(pieces), np.eye(len(pieces))[0]
-        for _ in range(MOST_MIXTURES):
-            answer = self._foretold(np.tensordot(weights, stack, 1))
-            worth = np.array([answer.figure_duals @ (one @ answer.step) for one in pieces])
-            if np.max(np.abs(answer.step)) <= 0.1 * self.tolerance or np.max(worth) - weights @ worth <= 1e-18:
-                break
-            weights = self._between(stack, weights, np.eye(len(pieces))[int(np.argmax(worth))])
-        return np.asarray(np.tensordot(weights, stack, 1), dtype=np.float64)
-
-    def _between(self, stack: FloatArray, weights: FloatArray, other: FloatArray) -> FloatArray:
-        """Return the weights between two, by bisection, from which neither way foretells less."""
-        low, high = 0.0, 1.0
-        change = np.tensordot(other - weights, stack, 1)
-        for _ in range(MIXINGS):
-            share = 0.5 * (low + high)
-            answer = self._foretold(np.tensordot((1 - share) * weights + share * other, stack, 1))
-            if answer.figure_duals @ (change @ answer.step) > 0:
-                low = share
-            else:
-                high = share
-        share = 0.5 * (low + high)
-        return (1 - share) * weights + share * other
-
-    def _foretold(self, slopes: FloatArray) -> Answer:
-        p = self.found.setting.size
-        return self.sub.ask(self.found.setting, (self.linear[0], slopes), np.eye(p), 1.0, self.penalty)
+    def _here(self) -> Here:
+        return Here(self.sub, self.found.setting, self.linear, self.penalty, self.tolerance)
 
     def _bend(self, step: FloatArray, change: FloatArray) -> None:
         """Damped BFGS update of the Lagrangian's curvature."""
@@ -770,7 +339,7 @@ class _State:
 
 def _projected(task: Task, setting: FloatArray) -> FloatArray:
     """Return the setting nearest to one that keeps the limits."""
-    if _within(task, setting):
+    if within_limits(task, setting):
         return setting
     problem = cp.Problem(
         cp.Minimize(cp.sum_squares(task.setting - setting)),
@@ -782,23 +351,3 @@ def _projected(task: Task, setting: FloatArray) -> FloatArray:
             f"limits: no setting within the bounds keeps {', '.join(task.limits)}; they contradict each other"
         )
     return np.clip(np.asarray(task.setting.value, dtype=np.float64), 0.0, 1.0)
-
-
-def stacked(figures: Sequence[BlockFigures], p: int) -> tuple[FloatArray, FloatArray]:
-    """Return values and slopes of all blocks, one after the other, over p settings."""
-    if not figures:
-        return np.zeros(0), np.zeros((0, p))
-    return np.concatenate([one.values for one in figures]), np.vstack([one.jacobian for one in figures])
-
-
-def _violation(constraint: Any) -> FloatArray:
-    value = np.atleast_1d(np.asarray(constraint.expr.value, dtype=np.float64))
-    return np.abs(value) if isinstance(constraint, Equality) else np.maximum(value, 0.0)
-
-
-def _array(expression: Any) -> FloatArray:
-    return np.asarray(expression.value, dtype=np.float64)
-
-
-def _number(expression: Any) -> float:
-    return float(np.asarray(expression.value))

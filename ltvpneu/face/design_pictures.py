@@ -87,8 +87,8 @@ def draw_stability_map(found: StabilityMap) -> Figure:
                 frequency[where], duty[where], linestyle="none", marker=marker, color=colour, markersize=4, label=label
             )
     rate = "" if found.certificate is None else f", box: {found.certificate.decay_rate:.2g} 1/s"
-    outlines: list[tuple[str, BoolArray, Any, str]] = [
-        (f"certified: the LTV model's steps under any switching{rate}", found.is_certified, "-", str(PALETTE[1])),
+    outlines: list[tuple[str, BoolArray, Any, Any]] = [
+        (f"certified: the LTV model's steps under any switching{rate}", found.is_certified, "-", PALETTE[1]),
         ("certified: all linearizations (8) along the cycle", found.is_certified & found.stays_in_box, "--", "0.1"),
     ]
     for label, where, style, colour in outlines:
@@ -103,7 +103,7 @@ def draw_stability_map(found: StabilityMap) -> Figure:
 
 
 def _outline(
-    axes: Axes, frequencies: FloatArray, duties: FloatArray, where: BoolArray, style: Any, colour: str
+    axes: Axes, frequencies: FloatArray, duties: FloatArray, where: BoolArray, style: Any, colour: Any
 ) -> None:
     """Draw round the points where something holds, along the edges of their cells."""
     sides = [_cell_edges(frequencies), _cell_edges(duties)]

@@ -144,7 +144,11 @@ def optimum_text(found: "DutySolution") -> str:
     for name, one in columns:
         kink = ", on a kink of the model" if one.at_kink else ""
         parts.append(f"{name}: {said[one.status]} (residual {one.residual:.1e}{kink})")
-    if not np.isnan(found.lower_bound):
+    if found.not_corrected:
+        parts.append(f"not corrected on the nonlinear model: {found.not_corrected}")
+    if np.isposinf(found.lower_bound):
+        parts.append("global search: no setting within the bounds keeps every goal, as far as the curvature seen holds")
+    elif np.isfinite(found.lower_bound):
         parts.append(
             f"global search: no setting gets the objective below {found.lower_bound:.6g} ({found.objective:.6g})"
         )
@@ -241,6 +245,7 @@ def optimum_data(found: "DutySolution") -> dict[str, Any]:
             "lower_bound": known(one.lower_bound),
             "residual": known(one.residual),
             "at_kink": one.at_kink,
+            "not_corrected": one.not_corrected,
             "duals": {name: known(value) for name, value in one.duals.items()},
             "active": list(one.active),
             "missed_by": {name: known(value) for name, value in one.constraints.items()},

@@ -111,6 +111,8 @@ class LinearCycles:
         Steps into which each piece of the openings is divided evenly, so that steps move with the edges.
     distance : float
         As `least_distance` of `ltv_model`.
+    change : callable, optional
+        What is made of the machine once its parameters are set: a scenario.
     """
 
     def __init__(
@@ -120,8 +122,9 @@ class LinearCycles:
         mode: OwnCycle = "fitted",
         steps_per_position: int = 1,
         distance: float = LEAST_DISTANCE,
+        change: Callable[[Machine], Machine] | None = None,
     ) -> None:
-        self.machine, self.frequency, self.distance = machine, frequency, distance
+        self.machine, self.frequency, self.distance, self._change = machine, frequency, distance, change
         self.mode: OwnCycle = mode
         self.steps_per_position = steps_per_position
         self._start: FloatArray | None = None
@@ -129,9 +132,14 @@ class LinearCycles:
 
     def question(self, values: Mapping[str, float]) -> Question:
         """Return what model is meant at a setting of the parameters."""
-        machine = with_values(self.machine, values)
+        machine = self.machine_at(values)
         frequency = float(values.get("frequency", self.frequency))
         return Question(machine=machine, frequency=frequency, mode=self.mode, distance=self.distance)
+
+    def machine_at(self, values: Mapping[str, float]) -> Machine:
+        """Return the machine at a setting of the parameters, changed as the scenario has it."""
+        machine = with_values(self.machine, values)
+        return machine if self._change is None else self._change(machine)
 
     def cycle(self, values: Mapping[str, float]) -> "LinearCycle":
         """Return the cycle at a setting of the parameters.
@@ -162,7 +170,14 @@ class LinearCycles:
                 residual=repeated.residual,
                 iterations=repeated.n_marched,
             )
-        found = LinearCycle(question=question, cells=cells, plan=plan, repeated=repeated, settings=dict(values))
+        found = LinearCycle(
+            question=question,
+            cells=cells,
+            plan=plan,
+            repeated=repeated,
+            settings=dict(values),
+            machine_at=self.machine_at,
+        )
         self._start = found.initial_state
         return found
 
@@ -196,7 +211,7 @@ class LinearCycles:
             return known[1]
         value = cycle.settings[name]
         for step in (STEP, -STEP):
-            moved = with_values(cycle.question.machine, {name: value + step}).openings
+            moved = self.machine_at({**cycle.settings, name: value + step}).openings
             if _same_pieces(moved.areas, table.areas):
                 slopes = divided(moved.fractions - table.fractions, self.steps_per_position) / step
                 self._edge_slopes[name] = table.areas, slopes
@@ -233,6 +248,7 @@ class LinearCycle:
     plan: Plan
     repeated: Repeated
     settings: dict[str, float]
+    machine_at: Callable[[Mapping[str, float]], Machine]
 
     @property
     def initial_state(self) -> FloatArray:
@@ -459,7 +475,7 @@ class _Differences:
         step = STEP * (abs(value) or 1.0)
         turns: list[Turn] = []
         for moved in (value + step, value - step):
-            changed = replace(question, machine=with_values(question.machine, {name: moved}))
+            changed = replace(question, machine=self.cycle.machine_at({**self.cycle.settings, name: moved}))
             plan = changed.plan(self.cycle.cells, TOLERANCE)
             # In the present scales, which may follow the parameter.
             run = plan.run._replace(settings=self.cycle.plan.run.settings)

@@ -4,7 +4,7 @@ By central differences of one turn, integrated at a tolerance of 1e-10, and the 
 cycle's start. Slower than the linear model's, and the judge of it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import final
 
 import numpy as np
@@ -32,15 +32,21 @@ class NonlinearCycles:
     machine : Machine
     frequency : float
         Where it is no parameter [Hz].
+    change : callable, optional
+        What is made of the machine once its parameters are set: a scenario.
     """
 
-    def __init__(self, machine: Machine, frequency: float) -> None:
-        self.machine, self.frequency = machine, frequency
+    def __init__(self, machine: Machine, frequency: float, change: Callable[[Machine], Machine] | None = None) -> None:
+        self.machine, self.frequency, self._change = machine, frequency, change
         self._start: FloatArray | None = None
+
+    def _changed(self, machine: Machine) -> Machine:
+        return machine if self._change is None else self._change(machine)
 
     def orbit(self, values: Mapping[str, float]) -> Orbit:
         """Return the cycle at a setting of the parameters; errors as of `nonlinear_orbit`."""
-        machine, frequency = with_values(self.machine, values), float(values.get("frequency", self.frequency))
+        machine = self._changed(with_values(self.machine, values))
+        frequency = float(values.get("frequency", self.frequency))
         method = DormandPrince(rtol=TOLERANCE)
         if self._start is not None:
             try:
@@ -67,7 +73,8 @@ class NonlinearCycles:
         LtvpneuError
             As of `nonlinear_orbit`.
         """
-        machine, frequency = with_values(self.machine, values), float(values.get("frequency", self.frequency))
+        plain, frequency = with_values(self.machine, values), float(values.get("frequency", self.frequency))
+        machine = self._changed(plain)
         orbit = self.orbit(values)
         if not orbit.is_unique:
             free = np.zeros((len(machine.states), 1))
@@ -79,14 +86,15 @@ class NonlinearCycles:
                 free_directions=free,
             )
 
-        def of_turn(start: FloatArray, machine: Machine, frequency: float) -> FloatArray:
+        def of_turn(start: FloatArray, plain: Machine, frequency: float) -> FloatArray:
+            machine = self._changed(plain)
             end, record = nonlinear_turn(start, machine, frequency, orbit.n_periods)
             return np.append(end, [_figure(record, machine, frequency, figure) for figure in figures])
 
         start, n = orbit.initial_state.copy(), len(machine.states)
 
         def differentiate() -> Slopes:
-            by_state, by_parameter = slopes_along_turn(of_turn, (machine, frequency, start), parameters)
+            by_state, by_parameter = slopes_along_turn(of_turn, (plain, frequency, start), parameters)
             scales = machine.state_scales
             maps = by_state[:n] * scales / scales[:, None]
             by_start = scales[:, None] * np.linalg.solve(np.eye(n) - maps, by_parameter[:n] / scales[:, None])
@@ -96,7 +104,7 @@ class NonlinearCycles:
         return CycleFigures(
             machine=machine,
             frequency=frequency,
-            values=of_turn(start, machine, frequency)[n:],
+            values=of_turn(start, plain, frequency)[n:],
             initial_state=start,
             differentiate=differentiate,
         )

@@ -11,6 +11,7 @@ import ltvpneu as lp
 from ltvpneu import design
 from ltvpneu.errors import LtvpneuError, NotConvexError
 from ltvpneu.models.cycle_figures import Figure, LinearCycles
+from ltvpneu.models.nonlinear_figures import NonlinearCycles
 
 FIGURES = [Figure("mean", 0), Figure("minimum", 0), Figure("maximum", 0), Figure("air_use")]
 
@@ -235,6 +236,11 @@ def test_a_global_search_bounds_what_is_left(machine):
         ({"variables": {"off_2": (0.1, 0.9)}}, "the valve has 1 pulses"),
         ({"model": "frozen"}, 'expected "fitted"'),
         ({"variables": {"supply_pressure": (1e4, 5e5)}}, "below the exhaust pressure"),
+        ({"variables": {"duty": (0.1, 0.9), "off_1": (1.0, 5.0)}}, "set the same switching"),
+        ({"variables": {"duty": (0.1, 0.9), "offset_angle": (0.0, 1.0)}}, "set the same switching"),
+        ({"variables": {"frequency": (-4.0, 20.0)}}, "frequency: found -4 Hz"),
+        ({"minimize": "mean_error", "mean": {"position": (0.05, 0.04)}}, "contradict each other"),
+        ({"goals": design.Goals(cycle={"position": ([0.0], [0.04])})}, 'expected minimize="tracking"'),
     ],
 )
 def test_bad_input_is_named(machine, call, message):
@@ -252,6 +258,15 @@ def test_what_is_not_convex_is_refused_with_the_reason(machine):
         )
     with pytest.raises(ValueError, match="expected duty"):
         problem.solve(cp.Minimize(0), start={"phase": 1.0})
+    with pytest.raises(ValueError, match="found 5 for 'duty', expected 0.02 to 0.98"):
+        problem.solve(cp.Minimize(0), start={"duty": 5.0})
+    bound = cp.Variable()
+    with pytest.raises(ValueError, match="none of this problem's"):
+        problem.solve(cp.Minimize(bound), {"ripple": problem.nominal.amplitude("position") <= bound})
+    with pytest.raises(TypeError, match="'bad' returned NoneType"):
+        design.duty_problem(machine, 8.0, scenarios={"bad": lambda one: None})
+    with pytest.raises(ValueError, match="expected their edges"):
+        design.duty_problem(machine.with_pulses([(0.0, 0.5), (3.0, 4.5)]), 8.0, {"duty": (0.1, 0.9)})
 
 
 def test_limits_that_leave_nothing_are_named(machine):
@@ -263,3 +278,81 @@ def test_limits_that_leave_nothing_are_named(machine):
 def test_where_stiction_holds_everywhere_the_reason_is_given(machine):
     with pytest.raises(LtvpneuError, match="stiction holds"):
         design.optimize_duty(machine, 20.0, {"duty": (0.7, 0.72)}, mean={"position": 0.07})
+
+
+def test_a_scenario_changes_the_machine_with_its_variables_set(machine):
+    """A free supply pressure that may be 30 % low: not the same pressure in both."""
+    found = design.optimize_duty(
+        machine, 12.0, {"duty": (0.2, 0.8), "supply_pressure": (3.5e5, 6e5)}, mean={"position": (0.035, 0.055)},
+        minimize="amplitude", scenarios={"low": lambda one: one.with_supply_pressure(0.9 * one.supply_pressure)},
+    )  # fmt: skip
+    low = found.scenario_machines["low"]
+    assert low.supply_pressure == pytest.approx(0.9 * found.values["supply_pressure"], rel=1e-12)
+    for name, orbit in found.nonlinear.items():
+        assert 0.035 - 1e-3 < orbit.mean("position") < 0.055 + 1e-3, name
+    assert found.nonlinear["low"].mean("position") < found.nonlinear["nominal"].mean("position") - 1e-3
+    # And its derivatives are those of the changed machine.
+    for kind in (LinearCycles, NonlinearCycles):
+        cycles = kind(machine, 12.0, change=lambda one: one.with_supply_pressure(0.9 * one.supply_pressure))
+        at = {"supply_pressure": 4.5e5, "duty": 0.45}
+        slope = cycles.figures(at, FIGURES, ["supply_pressure"]).jacobian[:, 0]
+        up, down = (cycles.figures({**at, "supply_pressure": p}, FIGURES, []).values for p in (4.502e5, 4.498e5))
+        np.testing.assert_allclose(slope, (up - down) / 400, rtol=2e-3)
+
+
+def test_commands_last_as_long_as_the_valve_needs(machine):
+    both = design.ValveLimits(opening_delay=0.02, closing_delay=0.02)
+    found = design.optimize_duty(machine, 8.0, minimize="air_use", valve=both)
+    assert both.open_share((found.commands[0][1] - found.commands[0][0]) * 8.0, 8.0) == pytest.approx(
+        found.values["duty"], abs=1e-6
+    )
+    long = design.ValveLimits(shortest_on=0.04)
+    for variables in ({"duty": (0.02, 0.98), "frequency": (4.0, 20.0)}, {"frequency": (4.0, 20.0)}):
+        found = design.optimize_duty(machine, 8.0, variables, mean={"position": (0.035, 0.06)}, valve=long)
+        on, off = found.commands[0]
+        assert off - on >= 0.04 - 1e-9, variables
+    pulsed = machine.with_pulses([(0.0, 0.5), (3.0, 4.5)])
+    found = design.optimize_duty(
+        pulsed, (4.0, 20.0), {"off_2": (3.2, 6.0)}, valve=design.ValveLimits(shortest_on=0.015)
+    )
+    assert all(off - on >= 0.015 - 1e-9 for on, off in found.commands)
+    with pytest.raises(ValueError, match="pulse 1 lasts"):
+        design.duty_problem(pulsed, 20.0, {"off_2": (3.2, 6.0)}, valve=design.ValveLimits(shortest_on=0.02))
+
+
+def test_the_offset_is_free_from_zero_on(machine):
+    found = design.optimize_duty(
+        machine, 8.0, {"offset_angle": (0.0, 2.4)}, mean={"position": 0.035}, minimize="air_use"
+    )
+    assert found.status == "optimal"
+    assert found.nonlinear["nominal"].mean("position") == pytest.approx(0.035, abs=1e-3)
+
+
+def test_switching_counts_pulses_of_ramped_valves_too(double_acting):
+    pulsed = double_acting.with_pulses([(0.5, 1.5), (3.0, 4.5)])
+    assert design.duty_problem(pulsed, 15.0).switching().value == pytest.approx(30.0)
+
+
+def test_duals_say_what_a_looser_bound_is_worth(machine):
+    """For either side of an inequality, and with either sense of the objective."""
+    problem = design.duty_problem(machine, 8.0)
+    mean, worst = problem.nominal.mean("position"), problem.nominal.maximum("position")
+
+    def ask(bound):
+        return (
+            problem.solve(cp.Minimize(1e3 * problem.nominal.air_use()), {"c": mean >= bound}),
+            problem.solve(cp.Maximize(1e3 * mean), {"c": worst <= bound + 0.02}),
+        )
+
+    (air, reach), (more_air, further) = ask(0.045), ask(0.0451)
+    # The first bound got tighter, the second looser.
+    assert air.duals["c"] == pytest.approx((more_air.objective - air.objective) / 1e-4, rel=0.05)
+    assert reach.duals["c"] == pytest.approx((further.objective - reach.objective) / 1e-4, rel=0.05)
+
+
+def test_a_correction_that_fails_leaves_the_linear_optimum(machine):
+    found = design.optimize_duty(
+        machine, 37.5125, {"duty": (0.40, 0.41)}, mean={"position": (0.03, 0.05)}, correct=True
+    )
+    assert found.status == "optimal"
+    assert (found.corrected is None) == bool(found.not_corrected)
