@@ -10,7 +10,16 @@ import pytest
 from matplotlib.figure import Figure
 
 import ltvpneu as lp
+from ltvpneu.face import study_design
 from ltvpneu.face.cli import main
+
+
+@pytest.fixture(autouse=True)
+def _few_points(monkeypatch):
+    """The design part of a study on a few points: `test_optimize_command` looks at its figures."""
+    monkeypatch.setattr(study_design, "DUTIES", np.array([0.3, 0.5]))
+    monkeypatch.setattr(study_design, "MAP_DUTIES", np.array([0.5]))
+    monkeypatch.setattr(study_design, "N_FREQUENCIES", 2)
 
 
 def test_importing_the_package_loads_no_heavy_library():
