@@ -153,6 +153,25 @@ class ChamberVolumeError(IntegrationError):
     """The piston swept a chamber's volume down to zero."""
 
 
+class CavitationError(IntegrationError):
+    """The pressure of a liquid fell to its vapor pressure, below which the model has no laws."""
+
+
+class GasRangeError(LtvpneuError, ValueError):
+    """A real gas asked for where it is no gas, or where its equation of state ends or is too rough to tabulate.
+
+    Attributes
+    ----------
+    pressure, temperature : float
+        The state in question [Pa, K].
+    """
+
+    def __init__(self, message: str, *, pressure: float, temperature: float) -> None:
+        super().__init__(message)
+        self.pressure = pressure
+        self.temperature = temperature
+
+
 class NotConvexError(LtvpneuError, ValueError):
     """An objective or constraint that convex programming cannot take; the message passes on cvxpy's reason."""
 

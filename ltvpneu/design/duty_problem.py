@@ -31,6 +31,8 @@ from ltvpneu.models.nonlinear_figures import NonlinearCycles
 from ltvpneu.models.own_cycle import OwnCycle
 from ltvpneu.models.parameters import is_angle, present_value, pulse_edge, pulse_edges, with_values
 from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.physics.gas import GasState
+from ltvpneu.physics.medium import path_flow
 
 Bounds = tuple[float, float]
 Scenario = Callable[[Machine], Machine]
@@ -628,7 +630,8 @@ def _pulse_limits(problem: DutyProblem) -> dict[str, cp.Constraint]:
 def _flow_size(machine: Machine) -> float:
     """Return the size of flows from the supply: what the largest openings pass when choked [kg/s]."""
     areas = machine.openings.areas[:, 0][:, machine.arrays.path_from_supply]
-    gas = machine.gas
-    choked = 0.7 / math.sqrt(gas.specific_gas_constant * gas.temperature)
+    arrays = machine.arrays
     largest = float(np.sum(np.max(areas, axis=0))) if areas.size else 0.0
-    return choked * machine.supply_pressure * largest or 1.0
+    back = GasState(max(machine.exhaust_pressure, 0.4 * machine.supply_pressure), machine.gas.temperature)
+    flow = path_flow(largest, math.inf, arrays.supply, back, arrays.medium)
+    return flow or 1.0

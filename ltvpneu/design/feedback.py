@@ -94,7 +94,7 @@ def duty_model(
     by_state, by_input = nonlinear_jacobians(machine, frequency, orbit, [INPUTS[name] for name in inputs])
     n = len(machine.states)
     pushes = np.zeros(n)
-    pushes[2:] = machine.arrays.chambers[:, 3]
+    pushes[2 : 2 + machine.n_volumes] = machine.arrays.chambers[:, 3]
     C = np.array([np.eye(n)[0], by_state[3][0], pushes @ by_state[3]])
     D = np.array([np.zeros(len(inputs)), by_input[3][0], pushes @ by_input[3]])
     names = machine.states, tuple(inputs), ("position", "mean_position", "force")

@@ -21,12 +21,12 @@ from cvxpy.error import SolverError as CvxpySolverError
 from ltvpneu._arrays import BoolArray, FloatArray, finite, positive, whole
 from ltvpneu.design.duty_cycle import Wanted, wanted_bounds
 from ltvpneu.errors import LtvpneuError, SolverError
-from ltvpneu.models.dynamics import supply_flow_tangents
 from ltvpneu.models.linearize import Linearization, assemble, linearize_steps
 from ltvpneu.models.lti import lti_model
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear import nonlinear_orbit
 from ltvpneu.models.operating_points import LEAST_DISTANCE
+from ltvpneu.models.supply_flow import supply_flow_tangents
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.propagate import exponentials
@@ -283,7 +283,8 @@ def _held(machine: Machine, points: FloatArray) -> FloatArray:
     low, high = machine.exhaust_pressure, machine.supply_pressure
     points = points.copy()
     points[:, 1] = 0.0
-    points[:, 2:] = np.clip(points[:, 2:], low * (1 + LEAST_DISTANCE), high * (1 - LEAST_DISTANCE))
+    pressures = points[:, 2 : 2 + machine.n_volumes]
+    np.clip(pressures, low * (1 + LEAST_DISTANCE), high * (1 - LEAST_DISTANCE), out=pressures)
     return points
 
 

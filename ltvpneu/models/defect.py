@@ -17,7 +17,7 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
 from ltvpneu.models.dynamics import STUCK
 from ltvpneu.models.events import after_event, margin_at, mode_of
-from ltvpneu.models.machine import MachineArrays
+from ltvpneu.models.machine_arrays import MachineArrays
 from ltvpneu.models.step_models import DECAY_AT_REST, Tangent, augmented, tangent_at
 from ltvpneu.periodic.small import apply, exponential
 from ltvpneu.physics.friction import holding_force

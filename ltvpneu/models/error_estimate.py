@@ -16,6 +16,8 @@ from ltvpneu.periodic.orbit import Orbit, signal_index
 CELLS = 256
 """Cells of the fine staircase on which the defect is taken, in each valve period."""
 MOST_CORRECTIONS = 4
+LEAST_TEMPERATURE, MOST_TEMPERATURE = 0.3, 3.0
+"""Range that temperatures of operating points are kept in, over that of the surroundings [-]."""
 SETTLED, NEGLIGIBLE = 0.2, 2e-3
 """The defect is taken again, of the sum, until that moves the estimate by less than this share of it, or less than this
 share of the amplitude."""
@@ -122,8 +124,11 @@ class _Corrector:
         """Return operating points kept between the sources' pressures, and where volumes are well above zero."""
         machine = self.machine
         held = points.copy()
-        held[:, 2:] = np.clip(held[:, 2:], 0.95 * machine.exhaust_pressure, 1.05 * machine.supply_pressure)
-        for V, A in machine.arrays.chambers[:, :2]:
+        count = 2 + machine.n_volumes
+        held[:, 2:count] = np.clip(held[:, 2:count], 0.95 * machine.exhaust_pressure, 1.05 * machine.supply_pressure)
+        temperature = machine.gas.temperature
+        held[:, count:] = np.clip(held[:, count:], LEAST_TEMPERATURE * temperature, MOST_TEMPERATURE * temperature)
+        for V, A in machine.arrays.chambers[: len(machine.cylinder.chambers), :2]:
             edge = -0.9 * V / A
             held[:, 0] = np.maximum(held[:, 0], edge) if A > 0 else np.minimum(held[:, 0], edge)
         return held

@@ -9,10 +9,12 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled, inlined
-from ltvpneu.models.dynamics import STUCK, external_force, source_range
-from ltvpneu.models.machine import MachineArrays
+from ltvpneu.models.dynamics import STUCK, external_force
+from ltvpneu.models.machine_arrays import MachineArrays
+from ltvpneu.models.quasi_static import only_source
 from ltvpneu.models.runge_kutta import Run, Workspace
 from ltvpneu.physics.friction import holding_force, slip_direction
+from ltvpneu.physics.properties import LIQUID
 
 
 @inlined
@@ -161,9 +163,10 @@ def rest_at_source(run: Run, space: Workspace) -> bool:
     whether a pressure was set.
     """
     state, before, changed = space.state, space.coefficients[0], False
-    for k in range(run.machine.chambers.shape[0]):
-        low, high = source_range(k, space.areas, run.machine)
-        if low == high:
+    # A liquid comes to rest exponentially, a volume with an energy balance goes on as long as its temperature does.
+    for k in range(run.machine.chambers.shape[0] if run.machine.medium.kind != LIQUID else 0):
+        low = only_source(k, space.areas, run.machine)
+        if not math.isnan(low) and run.machine.temperature_state[k] < 0:
             difference = before[2 + k] - low
             # The interpolant's first power is the rate at the start of the step, times its length.
             change = space.coefficients[1, 2 + k]

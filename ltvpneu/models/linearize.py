@@ -14,13 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array
-from ltvpneu.models.dynamics import state_rate, tangents
+from ltvpneu.models.dynamics import gas_in_volume, state_rate
 from ltvpneu.models.error_estimate import ErrorEstimate, error_estimate
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.tangent import tangents
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.steady import periodic_states, steady_state
 from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.physics.medium import in_range
+from ltvpneu.physics.properties import IDEAL
 
 Tangent = Literal["paper", "full"]
 
@@ -114,9 +117,10 @@ def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tan
             "where the slope of the flow is infinite; expected pressures apart from the sources'"
         )
     levels = machine.levels
-    isothermal = bool((arrays.chambers[:, 2] == 1.0).all())
+    # Of an ideal gas at constant temperature the flow is homogeneous in the pressures: no remainder.
+    isothermal = bool((arrays.chambers[:, 2] == 1.0).all() and (arrays.temperature_state < 0).all())
     r = np.zeros(states.shape)
-    if full or not isothermal:
+    if full or not isothermal or arrays.medium.kind != IDEAL:
         for step, state in enumerate(states):
             point = state.copy()
             if not full:
@@ -129,15 +133,31 @@ def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tan
 
 
 def _check_domain(machine: Machine, states: FloatArray) -> None:
-    chambers = machine.arrays.chambers
-    volumes = chambers[:, 0] + states[:, :1] * chambers[:, 1]
-    for found, what, unit in ((volumes, "volume", "m^3"), (states[:, 2:], "pressure", "Pa")):
-        if (found <= 0).any():
-            step, k = np.argwhere(found <= 0)[0]
-            raise ValueError(
-                f"operating point of step {step + 1}: found a {what} of {machine.cylinder.chambers[k]} of "
-                f"{found[step, k]:g} {unit} (position {states[step, 0]:g} m), expected above zero"
-            )
+    arrays, names = machine.arrays, machine.states
+    volumes = arrays.chambers[:, 0] + states[:, :1] * arrays.chambers[:, 1]
+    if (volumes <= 0).any():
+        step, k = np.argwhere(volumes <= 0)[0]
+        raise ValueError(
+            f"operating point of step {step + 1}: found a volume of {machine.volumes[k]} of {volumes[step, k]:g} m^3 "
+            f"(position {states[step, 0]:g} m), expected above zero"
+        )
+    if (states[:, 2:] <= 0).any():
+        step, column = np.argwhere(states[:, 2:] <= 0)[0]
+        k = column if column < machine.n_volumes else list(arrays.temperature_state).index(column + 2)
+        what, unit = names[2 + column].split("_")[0], "Pa" if column < machine.n_volumes else "K"
+        raise ValueError(
+            f"operating point of step {step + 1}: found a {what} of {machine.volumes[k]} of "
+            f"{states[step, 2 + column]:g} {unit}, expected above zero"
+        )
+    if arrays.medium.kind != IDEAL:
+        for step, state in enumerate(states):
+            for k, name in enumerate(machine.volumes):
+                here = gas_in_volume(k, state, arrays)
+                if not in_range(here.pressure, here.temperature, arrays.medium):
+                    raise ValueError(
+                        f"operating point of step {step + 1}: found {name} at {here.pressure:g} Pa and "
+                        f"{here.temperature:g} K, expected it where the laws of the medium hold"
+                    )
 
 
 @final

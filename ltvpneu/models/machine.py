@@ -1,139 +1,47 @@
-"""A machine: gas, cylinder, load, flow paths and valve, as one checked value.
+"""A machine: medium, cylinder, load, flow paths and valve, as one checked value.
 
-Which volume feeds which chamber through what opening is data, so single- and double-acting cylinders, 2/2, 3/2 and
-5/2 valves, rotary valves and bleed orifices are the same code.
+Which volume feeds which through what opening is data, so single- and double-acting cylinders, 2/2, 3/2 and 5/2 valves,
+rotary valves, bleed orifices and leakage past the piston are the same code.
 """
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple, final
+from typing import final
 
 import numpy as np
 
-from ltvpneu._arrays import BoolArray, FloatArray, IntArray, finite, not_negative, positive, read_only
+from ltvpneu._arrays import FloatArray, positive, read_only
+from ltvpneu.models.connections import (
+    COLLAPSES,
+    SOURCES,
+    Collapse,
+    Connection,
+    FlowPath,
+    check_ways,
+    through_valve,
+)
+from ltvpneu.models.machine_arrays import LoadConstants, MachineArrays, OpeningTable, opening_table
 from ltvpneu.physics.cylinder import Cylinder
 from ltvpneu.physics.gas import Gas, GasConstants, GasState
+from ltvpneu.physics.inner_volume import InnerVolume
+from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
-from ltvpneu.physics.valve import OnOffValve, Phase, Profile, Pulses, RotaryValve, Window, check_phase, merge_angles
+from ltvpneu.physics.medium import LAMINAR, Medium, MediumArrays
+from ltvpneu.physics.proportional import Command, ProportionalValve
+from ltvpneu.physics.real_gas import RealGas
+from ltvpneu.physics.thermal import EnergyBalance
+from ltvpneu.physics.valve import OnOffValve, RotaryValve
 
-Collapse = Literal["minimum", "in_series"]
-SOURCES = ("supply", "exhaust")
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class FlowPath:
-    """A restriction between a source and a chamber that is not a port of a rotary valve.
-
-    Parameters
-    ----------
-    source : str
-        "supply" or "exhaust".
-    chamber : str
-        "chamber_1" or "chamber_2".
-    area : float
-        Area when fully open [m^2].
-    discharge_coefficient : float
-        C [-], above 0, at most 1.
-    opening : {"always", "on", "off"} or Window
-        "on" while the valve is on, "off" while it is not, or a window of the turn of its own.
-    valve : int
-        Which valve that is: 0 the machine's `valve`, 1 the first of its `more_valves`, and so on.
-    """
-
-    source: str
-    chamber: str
-    area: float
-    discharge_coefficient: float = 1.0
-    opening: Phase | Window = "always"
-    valve: int = 0
-
-    def __post_init__(self) -> None:
-        if isinstance(self.valve, bool) or not isinstance(self.valve, int) or self.valve < 0:  # pyright: ignore[reportUnnecessaryIsInstance]
-            raise ValueError(f"valve: found {self.valve!r}, expected the number of a valve, from 0")
-        if self.source not in SOURCES:
-            raise ValueError(f'source: found {self.source!r}, expected "supply" or "exhaust"')
-        not_negative("area", self.area, "m^2")
-        if not 0 < finite("discharge_coefficient", self.discharge_coefficient) <= 1:
-            raise ValueError(
-                f"discharge_coefficient: found {self.discharge_coefficient:g}, expected above 0, at most 1"
-            )
-        if not isinstance(self.opening, Window):
-            check_phase("opening", self.opening)
-
-
-@final
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Connection:
-    """One path of flow as the models see it: a source, a chamber, and effective areas C A over the turn.
-
-    `second` is the restriction on the chamber's side where two act in series, else None.
-    """
-
-    source: str
-    chamber: str
-    first: Profile
-    second: Profile | None = None
-
-
-class LoadConstants(NamedTuple):
-    """What the compiled kernels need of the load and of the cylinder's other side."""
-
-    mass: float
-    spring_stiffness: float
-    viscous_damping: float
-    dry_friction: float
-    stiction: float
-    force: float
-    open_push_area: float
-    """Force over the exhaust pressure on the side that is open to it [m^2]."""
-    lower_stop: float
-    upper_stop: float
-
-
-class MachineArrays(NamedTuple):
-    """A machine as the compiled kernels read it."""
-
-    gas: GasConstants
-    load: LoadConstants
-    supply: GasState
-    exhaust: GasState
-    chambers: FloatArray
-    """Each: dead volume [m^3], its slope over position [m^2], polytropic exponent, push area [m^2]; shape (n_c, 4)."""
-    path_from_supply: BoolArray
-    """Whether the supply feeds each path, else the exhaust; shape (n_paths,)."""
-    path_chamber: IntArray
-    """Chamber that each path leads to, shape (n_paths,)."""
-
-
-LEAST_JUMP = 1e-9
-"""Relative change of an area that counts as a jump [-]; where pieces of a ramp meet, rounding makes smaller ones."""
-
-
-class OpeningTable(NamedTuple):
-    """Effective areas over the turn, linear between switching instants, as the compiled kernels read them."""
-
-    fractions: FloatArray
-    """Piece ends as shares of the period, from 0 to 1, shape (n_pieces + 1,)."""
-    areas: FloatArray
-    """First area at start and end, second at start and end [m^2], per piece and path; (n_pieces, 4, n_paths)."""
-    rises: FloatArray
-    """Largest change of any area over each piece, relative to that area's maximum [-], shape (n_pieces,)."""
-    jumps: FloatArray
-    """Shares of the period at which any area jumps; 0 if one does from the end of the turn to its start."""
-
-    @property
-    def ramped(self) -> BoolArray:
-        """Whether any area changes within the piece, shape (n_pieces,)."""
-        return self.rises > 0
+Valve = RotaryValve | OnOffValve | ProportionalValve
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Machine:
-    """A pneumatic drive switched by an on-off valve.
+    """A drive, pneumatic or hydraulic, switched by an on-off valve or moved by a proportional one.
 
     Parameters
     ----------
@@ -142,15 +50,17 @@ class Machine:
         p_3, p_4 [Pa, absolute].
     cylinder : Cylinder
     load : Load
-    valve : RotaryValve or OnOffValve
+    valve : RotaryValve, OnOffValve or ProportionalValve
     flow_paths : tuple of FlowPath
-        Paths beside the ports of a rotary valve; all of them where the valve is an `OnOffValve`.
-    gas : Gas
+        Paths beside the ports of a rotary valve; all of them where the valve is of another kind.
+    gas : Gas, RealGas or Liquid
+        The medium.
     more_valves : tuple of OnOffValve
         Further valves, of flow paths that name them by number; all turn at the same frequency.
-    collapse : {"minimum", "in_series"}
+    collapse : {"minimum", "in_series", "dynamic"}
         How the inner volume of a rotary valve is collapsed to a point: by the smaller effective area (2), or by solving
-        for the pressure between two restrictions that pass the same flow.
+        for the pressure between two restrictions that pass the same flow. "dynamic" keeps it as a volume of its own,
+        with a pressure of its own, of the size that the valve's `inner_volumes` give.
 
     Examples
     --------
@@ -165,10 +75,10 @@ class Machine:
     exhaust_pressure: float
     cylinder: Cylinder
     load: Load
-    valve: RotaryValve | OnOffValve
+    valve: Valve
     flow_paths: tuple[FlowPath, ...] = ()
-    gas: Gas = Gas()  # noqa: RUF009 - a frozen value
-    more_valves: tuple[OnOffValve, ...] = ()
+    gas: Medium = Gas()  # noqa: RUF009 - a frozen value
+    more_valves: tuple[OnOffValve | ProportionalValve, ...] = ()
     collapse: Collapse = "minimum"
 
     def __post_init__(self) -> None:
@@ -180,9 +90,10 @@ class Machine:
                 f"{self.exhaust_pressure:g} Pa; expected both absolute (a gauge pressure is written with the suffix "
                 "(g), as in '3.1 bar(g)')"
             )
-        if self.collapse not in ("minimum", "in_series"):
-            raise ValueError(f'collapse: found {self.collapse!r}, expected "minimum" or "in_series"')
+        if self.collapse not in COLLAPSES:
+            raise ValueError(f'collapse: found {self.collapse!r}, expected "minimum", "in_series" or "dynamic"')
         self._check_connections()
+        self._check_medium()
 
     def _check_connections(self) -> None:
         for path in self.flow_paths:
@@ -191,25 +102,49 @@ class Machine:
                     f"flow_paths: found a path of valve {path.valve}, expected 0 to {len(self.more_valves)}, as there "
                     f"are {len(self.more_valves)} more_valves"
                 )
-            if path.chamber not in self.cylinder.chambers:
-                raise ValueError(
-                    f"flow_paths: found a path to {path.chamber!r}, expected one of the cylinder's chambers: "
-                    f"{', '.join(self.cylinder.chambers)}"
-                )
+            for end in (path.chamber, path.source):
+                if end not in (*self.cylinder.chambers, *(SOURCES if end is path.source else ())):
+                    raise ValueError(
+                        f"flow_paths: found a path to {end!r}, expected one of the cylinder's chambers: "
+                        f"{', '.join(self.cylinder.chambers)}"
+                    )
         if isinstance(self.valve, RotaryValve):
-            known = (*SOURCES, *self.cylinder.chambers)
-            for way in self.valve.ways:
-                if way not in known:
-                    raise ValueError(f"valve.ports: found way {way!r}, expected one of {', '.join(known)}")
-            if self.collapse == "in_series":
-                _check_two_ways_at_once(self.valve)
-        fed = {connection.chamber for connection in self.connections}
+            check_ways(self.valve, self.collapse, self.cylinder.chambers)
+        fed = {end for connection in self.connections for end in (connection.chamber, connection.source)}
         for chamber in self.cylinder.chambers:
             if chamber not in fed:
                 raise ValueError(
                     f"flow_paths: no path leads to {chamber}, expected at least one; leave out "
                     f"dead_volume_{chamber[-1]} where that side is open to the return"
                 )
+
+    def _check_medium(self) -> None:
+        gas, cylinder = self.gas, self.cylinder
+        processes = [
+            *((f"cylinder.polytropic_exponent_{name[-1]}", *cylinder.process(name)) for name in cylinder.chambers),
+            *((f"valve.inner_volumes: {v.name}", v.polytropic_exponent, v.energy_balance) for v in self.inner_volumes),
+        ]
+        for name, exponent, balance in processes:
+            if isinstance(gas, Liquid):
+                if exponent != 1.0 or balance is not None:
+                    raise ValueError(
+                        f"{name}: found a thermal process of a liquid, whose compression has next to no heat; expected "
+                        "exponent 1 and no energy_balance"
+                    )
+            elif not 1.0 <= exponent <= gas.heat_capacity_ratio:
+                warnings.warn(
+                    f"{name}: found {exponent:g}, outside 1 (isothermal) to {gas.heat_capacity_ratio:g} (adiabatic): a "
+                    "gas that exchanges heat with its wall lies between; beyond, heat would flow from cold to warm",
+                    stacklevel=4,
+                )
+        if isinstance(gas, Liquid) and self.exhaust_pressure <= gas.vapor_pressure:
+            raise ValueError(
+                f"exhaust_pressure: found {self.exhaust_pressure:g} Pa, not above the liquid's vapor pressure "
+                f"{gas.vapor_pressure:g} Pa: it would cavitate; expected more (pressures are absolute)"
+            )
+        if isinstance(gas, RealGas):
+            gas.expect_inside("supply_pressure", self.supply_pressure)
+            gas.expect_inside("exhaust_pressure", self.exhaust_pressure)
 
     # What a user turns
     # -------------------------------------------------------------------------------------------------
@@ -249,6 +184,56 @@ class Machine:
         """Return the machine at another supply pressure [Pa, absolute]."""
         return replace(self, supply_pressure=pressure)
 
+    def with_command(self, command: Command) -> "Machine":
+        """Return the machine with its proportional valve following another command.
+
+        Raises
+        ------
+        ValueError
+            The valve is not a proportional one.
+        """
+        if not isinstance(self.valve, ProportionalValve):
+            raise ValueError("with_command: found a valve that switches, expected a proportional one; use with_duty")
+        return replace(self, valve=self.valve.with_command(command))
+
+    def with_gas(self, medium: Medium) -> "Machine":
+        """Return the machine with another medium: `Gas`, `RealGas` or `Liquid`."""
+        return replace(self, gas=medium)
+
+    def with_collapse(self, collapse: Collapse) -> "Machine":
+        """Return the machine with its rotary valve's inner volume collapsed in another way, or kept: "dynamic"."""
+        return replace(self, collapse=collapse)
+
+    def with_thermal(self, process: str | float | EnergyBalance) -> "Machine":
+        """Return the machine with one thermal process in all its volumes.
+
+        Parameters
+        ----------
+        process : {"isothermal", "adiabatic"}, float or EnergyBalance
+            A number is a polytropic exponent. "adiabatic" is the energy balance without heat from the wall.
+
+        Raises
+        ------
+        ValueError
+            Another name.
+        """
+        if process == "isothermal":
+            process = 1.0
+        elif process == "adiabatic":
+            process = EnergyBalance()
+        elif isinstance(process, str):
+            raise ValueError(
+                f'process: found {process!r}, expected "isothermal", "adiabatic", a polytropic exponent or an EnergyBalance'
+            )
+        exponent, balance = (1.0, process) if isinstance(process, EnergyBalance) else (float(process), None)
+        machine = replace(self, cylinder=self.cylinder.with_process(exponent, balance))
+        if not isinstance(self.valve, RotaryValve):
+            return machine
+        inner = tuple(
+            replace(volume, polytropic_exponent=exponent, energy_balance=balance) for volume in self.valve.inner_volumes
+        )
+        return replace(machine, valve=replace(self.valve, inner_volumes=inner))
+
     def without_dry_friction(self) -> "Machine":
         """Return the machine with neither dry friction nor stiction; viscous damping stays."""
         return replace(self, load=replace(self.load, dry_friction=0.0, stiction=0.0))
@@ -271,10 +256,46 @@ class Machine:
         """Whether the piston can stick."""
         return self.load.dry_friction > 0 or self.load.stiction > 0
 
+    @property
+    def inner_volumes(self) -> tuple[InnerVolume, ...]:
+        """Volumes inside the valve that are chambers of their own, in the order of its ports."""
+        if self.collapse != "dynamic" or not isinstance(self.valve, RotaryValve):
+            return ()
+        sizes = {inner.name: inner for inner in self.valve.inner_volumes}
+        return tuple(sizes[name] for name in self.valve.volumes)
+
+    @cached_property
+    def volumes(self) -> tuple[str, ...]:
+        """Names of all volumes with a pressure of their own: the cylinder's chambers, then those inside the valve."""
+        return (*self.cylinder.chambers, *(inner.name for inner in self.inner_volumes))
+
     @cached_property
     def states(self) -> tuple[str, ...]:
-        """Names of the states: position [m], velocity [m/s], then the chambers' pressures [Pa, absolute]."""
-        return ("position", "velocity", *(f"pressure_{name[-1]}" for name in self.cylinder.chambers))
+        """Names of the states.
+
+        Position [m], velocity [m/s], the volumes' pressures [Pa, absolute], then the temperatures [K] of those with an
+        energy balance.
+        """
+        inner = [volume.name for volume in self.inner_volumes]
+        labels = [name[-1] for name in self.cylinder.chambers] + (["valve"] if len(inner) == 1 else inner)
+        pressures = [f"pressure_{label}" for label in labels]
+        temperatures = [
+            f"temperature_{label}" for label, balance in zip(labels, self._balances, strict=True) if balance is not None
+        ]
+        return ("position", "velocity", *pressures, *temperatures)
+
+    @property
+    def n_volumes(self) -> int:
+        """Number of volumes with a pressure of their own; their pressures are states 2 to n_volumes + 1."""
+        return len(self.volumes)
+
+    @cached_property
+    def _balances(self) -> tuple[EnergyBalance | None, ...]:
+        cylinder = self.cylinder
+        return (
+            *(cylinder.process(name)[1] for name in cylinder.chambers),
+            *(inner.energy_balance for inner in self.inner_volumes),
+        )
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -291,52 +312,39 @@ class Machine:
         """Every path of flow, with its effective areas over the turn."""
         found: list[Connection] = []
         if isinstance(self.valve, RotaryValve):
-            found += _through_valve(self.valve, self.collapse, self.cylinder.chambers)
+            found += through_valve(self.valve, self.collapse, self.cylinder.chambers)
         on = [valve.on_window() for valve in (self.valve, *self.more_valves)]
         for path in self.flow_paths:
-            opening = _opening(path, on[path.valve]).scaled(path.discharge_coefficient * path.area)
-            found.append(Connection(source=path.source, chamber=path.chamber, first=opening))
+            found.append(Connection(source=path.source, chamber=path.chamber, first=path.profile(on[path.valve])))
         return tuple(found)
 
     @cached_property
     def openings(self) -> OpeningTable:
         """Effective areas of all connections on a common set of pieces."""
-        profiles = [p for c in self.connections for p in (c.first, c.second) if p is not None]
-        angles = merge_angles(*(profile.angles for profile in profiles))
-        areas = np.full((angles.size - 1, 4, len(self.connections)), np.inf)
-        for number, connection in enumerate(self.connections):
-            for row, profile in ((0, connection.first), (2, connection.second)):
-                if profile is not None:
-                    cut = profile.refined(angles)
-                    areas[:, row, number] = cut.starts
-                    areas[:, row + 1, number] = cut.ends
-        fractions = angles / angles[-1]
-        at_start, at_end = areas[:, (0, 2)], areas[:, (1, 3)]
-        # An absent second restriction is infinite throughout, a path never open zero throughout: neither changes.
-        with np.errstate(invalid="ignore"):
-            largest = np.max(areas, axis=0)[(0, 2),]
-            rises = np.nan_to_num(np.abs(at_end - at_start) / largest)
-            jumps = np.nan_to_num(np.abs(at_start - np.roll(at_end, 1, axis=0)) / largest) > LEAST_JUMP
-        return OpeningTable(
-            read_only(fractions),
-            read_only(areas),
-            read_only(np.max(rises, axis=(1, 2))),
-            read_only(fractions[:-1][jumps.any(axis=(1, 2))]),
-        )
+        return opening_table(self.connections)
 
     @cached_property
     def arrays(self) -> MachineArrays:
         """The machine as the compiled kernels read it."""
-        cylinder, load = self.cylinder, self.load
-        c = cylinder
+        c, load, gas, volumes = self.cylinder, self.load, self.gas, self.volumes
         rows = {
             "chamber_1": (c.dead_volume_1, c.piston_area_1, c.polytropic_exponent_1, c.push_area_1),
             "chamber_2": (c.dead_volume_2, -c.piston_area_2, c.polytropic_exponent_2, c.push_area_2),
         }
-        chambers = cylinder.chambers
-        open_side = sum(row[3] for name, row in rows.items() if name not in chambers)
+        open_side = sum(row[3] for name, row in rows.items() if name not in c.chambers)
+        each = [rows[name] for name in c.chambers]
+        each += [(inner.volume, 0.0, inner.polytropic_exponent, 0.0) for inner in self.inner_volumes]
+        ends = [(volumes.index(p.source) if p.source in volumes else -1, volumes.index(p.chamber)) for p in self.connections]
+        places, count = np.full(len(volumes), -1, dtype=np.int64), 2 + len(volumes)
+        walls = np.zeros((len(volumes), 2))
+        for k, balance in enumerate(self._balances):
+            if balance is not None:
+                places[k], count = count, count + 1
+                wall = gas.temperature if balance.wall_temperature is None else balance.wall_temperature
+                walls[k] = balance.conductance, wall
+        plain = isinstance(gas, Gas) and count == 2 + len(volumes) and all(source < 0 for source, _ in ends)
         return MachineArrays(
-            gas=self.gas.constants,
+            gas=self.constants,
             load=LoadConstants(
                 mass=float(load.mass),
                 spring_stiffness=float(load.spring_stiffness),
@@ -345,69 +353,63 @@ class Machine:
                 stiction=float(load.stiction),
                 force=float(load.force),
                 open_push_area=float(open_side),
-                lower_stop=float(cylinder.lower_stop),
-                upper_stop=float(cylinder.upper_stop),
+                lower_stop=float(c.lower_stop),
+                upper_stop=float(c.upper_stop),
             ),
             supply=GasState(float(self.supply_pressure), float(self.gas.temperature)),
             exhaust=GasState(float(self.exhaust_pressure), float(self.gas.temperature)),
-            chambers=np.array([rows[name] for name in chambers], dtype=np.float64),
-            path_from_supply=np.array([c.source == "supply" for c in self.connections]),
-            path_chamber=np.array([chambers.index(c.chamber) for c in self.connections], dtype=np.int64),
+            chambers=np.array(each, dtype=np.float64),
+            path_from_supply=np.array([connection.source == "supply" for connection in self.connections]),
+            path_chamber=np.array([chamber for _, chamber in ends], dtype=np.int64),
+            path_volume=np.array([source for source, _ in ends], dtype=np.int64),
+            temperature_state=places,
+            walls=walls,
+            medium=MediumArrays(gas.kind, 0.0 if plain else LAMINAR, self.constants, gas.table),
+            plain=plain,
         )
+
+    @property
+    def constants(self) -> GasConstants:
+        """Constants of the ideal gas, or of one like a real gas; of no meaning for a liquid."""
+        gas = self.gas
+        if isinstance(gas, Gas):
+            return gas.constants
+        if isinstance(gas, RealGas):
+            like = Gas(
+                heat_capacity_ratio=gas.heat_capacity_ratio,
+                specific_gas_constant=gas.specific_gas_constant,
+                temperature=gas.temperature,
+            )
+            return like.constants
+        return Gas().constants
+
+    @property
+    def has_infinite_slopes(self) -> bool:
+        """Whether a flow's slope is infinite where pressures meet; a liquid's is not, being laminar there."""
+        return not isinstance(self.gas, Liquid)
 
     @cached_property
     def state_scales(self) -> FloatArray:
-        """Sizes by which errors of the states are judged: dead length, that times a pneumatic frequency, supply."""
-        arrays = self.arrays
-        volume, slope = arrays.chambers[:, 0], arrays.chambers[:, 1]
+        """Sizes by which errors of the states are judged.
+
+        Dead length, that times a frequency of the piston on its chambers, supply pressure, temperature of the medium.
+        """
+        arrays, n_chambers = self.arrays, len(self.cylinder.chambers)
+        volume, slope = arrays.chambers[:n_chambers, 0], arrays.chambers[:n_chambers, 1]
         length = float(np.max(np.abs(volume / slope)))
-        stiffness = self.load.spring_stiffness + float(np.sum(self.exhaust_pressure * slope**2 / volume))
+        modulus = self.exhaust_pressure
+        if isinstance(self.gas, Liquid):
+            modulus = self.gas.effective_bulk_modulus(self.supply_pressure)
+        stiffness = self.load.spring_stiffness + float(np.sum(modulus * slope**2 / volume))
         speed = length * math.sqrt(stiffness / self.load.mass)
-        return read_only(np.array([length, speed] + [self.supply_pressure] * len(volume)))
+        n_temperatures = len(self.states) - 2 - self.n_volumes
+        scales = [length, speed, *[self.supply_pressure] * self.n_volumes, *[self.gas.temperature] * n_temperatures]
+        return read_only(np.array(scales))
 
     @cached_property
     def rest_state(self) -> FloatArray:
-        """Piston at rest at zero, or at the stop nearest to it, every chamber at exhaust pressure; (n_states,)."""
+        """Piston at rest at zero, or at the stop nearest to it, every volume as the exhaust is; (n_states,)."""
         position = min(max(0.0, self.cylinder.lower_stop), self.cylinder.upper_stop)
-        return read_only(np.array([position, 0.0] + [self.exhaust_pressure] * len(self.cylinder.chambers)))
-
-
-def _through_valve(valve: RotaryValve, collapse: Collapse, chambers: tuple[str, ...]) -> list[Connection]:
-    found: list[Connection] = []
-    for source in SOURCES:
-        for chamber in chambers:
-            if source not in valve.ways or chamber not in valve.ways:
-                continue
-            if collapse == "minimum":
-                area = valve.collapsed_area(source, chamber)
-                found.append(Connection(source=source, chamber=chamber, first=area))
-                continue
-            for volume in valve.volumes:
-                first, second = valve.way_area(source, volume), valve.way_area(chamber, volume)
-                if first.minimum(second).ends.any() or first.minimum(second).starts.any():
-                    found.append(Connection(source=source, chamber=chamber, first=first, second=second))
-    return found
-
-
-def _opening(path: FlowPath, on: Window | Pulses) -> Profile:
-    if isinstance(path.opening, Window):
-        return path.opening.profile
-    if path.opening == "always":
-        return Profile.constant(1.0)
-    return on.profile if path.opening == "on" else on.complement.profile
-
-
-def _check_two_ways_at_once(valve: RotaryValve) -> None:
-    """Two restrictions in series are exact only while an inner volume joins two ways, not three."""
-    for volume in valve.volumes:
-        profiles = [valve.way_area(way, volume) for way in valve.ways]
-        angles = merge_angles(*(profile.angles for profile in profiles))
-        open_ways = np.zeros(angles.size - 1)
-        for profile in profiles:
-            cut = profile.refined(angles)
-            open_ways += np.maximum(cut.starts, cut.ends) > 0
-        if open_ways.max() > 2:
-            raise ValueError(
-                f"collapse: found {int(open_ways.max())} ways open to the inner volume {volume!r} at once, expected at "
-                'most two for "in_series"; use "minimum"'
-            )
+        n_temperatures = len(self.states) - 2 - self.n_volumes
+        pressures, temperatures = [self.exhaust_pressure] * self.n_volumes, [self.gas.temperature] * n_temperatures
+        return read_only(np.array([position, 0.0, *pressures, *temperatures]))

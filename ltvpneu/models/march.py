@@ -280,6 +280,9 @@ def _is_inside(state: FloatArray, plan: Plan) -> bool:
         volume = chamber_volume(k, state[0] * plan.scales[0], machine)
         if volume < LEAST_SHARE * machine.chambers[k, 0] or state[2 + k] < LEAST_SHARE:
             return False
+        place = machine.temperature_state[k]
+        if place >= 0 and state[place] < LEAST_SHARE:
+            return False
     return True
 
 

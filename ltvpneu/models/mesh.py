@@ -12,7 +12,7 @@ as any other, and is cut if that is large.
 import numpy as np
 
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray
-from ltvpneu.models.machine import OpeningTable
+from ltvpneu.models.machine_arrays import OpeningTable
 from ltvpneu.models.runge_kutta import Schedule
 from ltvpneu.models.staircase import step_means
 

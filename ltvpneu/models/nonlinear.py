@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, IntArray, finite_array, positive, read_only, whole
-from ltvpneu.errors import ChamberVolumeError, IntegrationError, NotSettledError
-from ltvpneu.models.dynamics import STUCK, chamber_volume, external_force
+from ltvpneu.errors import CavitationError, ChamberVolumeError, GasRangeError, IntegrationError, NotSettledError
+from ltvpneu.models.dynamics import STUCK, chamber_volume, external_force, gas_in_volume
 from ltvpneu.models.integrator import LEFT_DOMAIN, OK, STEP_TOO_SMALL, TOO_MANY_STEPS, Outcome, Record, integrate_period
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.polynomial import PolynomialTrajectory
@@ -23,6 +23,9 @@ from ltvpneu.models.settle import settle
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.physics.friction import holding_force
+from ltvpneu.physics.liquid import Liquid
+from ltvpneu.physics.medium import in_range
+from ltvpneu.physics.real_gas import RealGas
 from ltvpneu.physics.valve import check_duty
 
 if TYPE_CHECKING:
@@ -69,6 +72,9 @@ Method = DormandPrince | RungeKutta4
 # Pressures need not be right to less than 1e-7 of the supply; where they meet the slope of the flow is infinite,
 # and steps that resolve smaller differences multiply without use.
 LEAST_PRESSURE_TOLERANCE = 1e-7
+
+NEAR_VAPOR = 1e-3
+"""Share of the supply pressure within which a pressure that stopped an integration counts as that of vapor [-]."""
 
 MAX_STEPS = 5_000_000
 """Steps that a period may take before the integration is given up."""
@@ -248,7 +254,8 @@ def integration_settings(machine: Machine, rtol: float) -> Settings:
     """Return the adaptive method's settings for a relative tolerance."""
     scales = machine.state_scales
     atol = rtol * scales
-    atol[2:] = max(rtol, LEAST_PRESSURE_TOLERANCE) * scales[2:]
+    pressures = slice(2, 2 + machine.n_volumes)
+    atol[pressures] = max(rtol, LEAST_PRESSURE_TOLERANCE) * scales[pressures]
     return Settings(float(rtol), atol, 0.0, MAX_STEPS)
 
 
@@ -268,22 +275,37 @@ def _initial_state(machine: Machine, initial_state: ArrayLike | None) -> FloatAr
             f"initial_state: found position {state[0]:g} m, expected it between the end stops "
             f"({cylinder.lower_stop:g} to {cylinder.upper_stop:g} m)"
         )
-    for k, name in enumerate(machine.states[2:]):
-        positive(f"initial_state: {name}", state[2 + k], "Pa")
-        volume = chamber_volume(k, float(state[0]), machine.arrays)
-        positive(
-            f"initial_state: volume of {machine.cylinder.chambers[k]} at position {state[0]:g} m",
-            volume,
-            "m^3",
-        )
+    count, arrays = machine.n_volumes, machine.arrays
+    for i, name in enumerate(machine.states[2:]):
+        positive(f"initial_state: {name}", state[2 + i], "Pa" if i < count else "K")
+    for k, name in enumerate(machine.volumes):
+        volume = chamber_volume(k, float(state[0]), arrays)
+        positive(f"initial_state: volume of {name} at position {state[0]:g} m", volume, "m^3")
+        here = gas_in_volume(k, state, arrays)
+        if not in_range(here.pressure, here.temperature, arrays.medium):
+            raise ValueError(
+                f"initial_state: found {name} at {here.pressure:g} Pa and {here.temperature:g} K, expected it where the "
+                f"laws of the medium hold: {limits_of(machine)}"
+            )
     return state
+
+
+def limits_of(machine: Machine) -> str:
+    """Return in words where the laws of a machine's medium hold."""
+    gas = machine.gas
+    if isinstance(gas, Liquid):
+        return f"above the vapor pressure {gas.vapor_pressure:g} Pa"
+    if isinstance(gas, RealGas):
+        (low, high), (cold, warm) = gas.pressure_range, gas.temperature_limits
+        return f"{low:g} to {high:g} Pa and {cold:g} to {warm:g} K, the ranges of {gas.fluid}"
+    return "above zero"
 
 
 def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray) -> None:
     """Raise the error that says why an integration stopped, and where."""
     where = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, state, strict=True))
-    chambers = machine.cylinder.chambers
-    volumes = np.array([chamber_volume(k, float(state[0]), machine.arrays) for k in range(len(chambers))])
+    chambers, arrays = machine.volumes, machine.arrays
+    volumes = np.array([chamber_volume(k, float(state[0]), arrays) for k in range(len(chambers))])
     shares = volumes / machine.arrays.chambers[:, 0]
     # Near a vanishing volume the pressure's rate grows without bound, so the step size may give out first.
     if shares.min() < 1e-3:
@@ -294,6 +316,24 @@ def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray)
             "spring.",
             time=time,
             state=state,
+        )
+    if isinstance(machine.gas, Liquid) and status in (LEFT_DOMAIN, STEP_TOO_SMALL):
+        lowest = int(np.argmin(state[2 : 2 + machine.n_volumes]))
+        if state[2 + lowest] < 2 * machine.gas.vapor_pressure + NEAR_VAPOR * machine.supply_pressure:
+            raise CavitationError(
+                f"the liquid in {chambers[lowest]} would cavitate at t = {time:.6g} s ({where}): its pressure falls to the "
+                f"vapor pressure {machine.gas.vapor_pressure:g} Pa. Raise the exhaust pressure or the area through which "
+                "the chamber fills, or slow the load down; the liquid model has no vapor",
+                time=time,
+                state=state,
+            )
+    if isinstance(machine.gas, RealGas) and status == LEFT_DOMAIN:
+        here = gas_in_volume(0, state, arrays)
+        raise GasRangeError(
+            f"the gas left the range of its properties at t = {time:.6g} s ({where}): {limits_of(machine)}. Give RealGas "
+            "a wider pressure_range or temperature_range",
+            pressure=here.pressure,
+            temperature=here.temperature,
         )
     reasons = {
         STEP_TOO_SMALL: "the step size fell below rounding",

@@ -12,12 +12,12 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu.errors import LtvpneuError, NonUniqueOrbitError
 from ltvpneu.models.cycle_figures import CycleFigures, Figure, Slopes
-from ltvpneu.models.dynamics import source_flow
 from ltvpneu.models.integrator import Record
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear import DormandPrince, nonlinear_orbit, trajectory_of
 from ltvpneu.models.parameters import TOLERANCE, nonlinear_turn, slopes_along_turn, with_values
 from ltvpneu.models.polynomial import polynomial_extremes
+from ltvpneu.models.supply_flow import source_flow
 from ltvpneu.periodic.orbit import Orbit
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu.models.dynamics import settled_pressures, source_ranges
 from ltvpneu.models.linearize import HeldBack
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.quasi_static import nearest_source, settled_states, source_ranges
 from ltvpneu.models.staircase import Staircase, fine_staircase, staircase
 
 LEAST_DISTANCE = 0.02
@@ -57,10 +57,9 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
             "pressures (in Python, ltv_model takes the operating points as an array of states)"
         )
     arrays = machine.arrays
-    states = np.zeros((areas.shape[0], len(machine.states)))
-    states[:, 2:] = settled_pressures(areas, arrays, machine.rest_state[2:])
+    states = settled_states(areas, arrays, np.array(machine.rest_state))
     force = load.force + arrays.load.open_push_area * machine.exhaust_pressure
-    balanced = (states[:, 2:] @ arrays.chambers[:, 3] + force) / load.spring_stiffness
+    balanced = (states[:, 2 : 2 + machine.n_volumes] @ arrays.chambers[:, 3] + force) / load.spring_stiffness
     # What the spring does not bear, an end stop does.
     states[:, 0] = np.clip(balanced, machine.cylinder.lower_stop, machine.cylinder.upper_stop)
     return states
@@ -82,9 +81,12 @@ def held_inside(
     sources = source_ranges(turn.stairs.areas, machine.arrays)
     floor = np.where(sources[:, :, 0] == exhaust, exhaust * (1 + least_distance), -np.inf)
     ceiling = np.where(sources[:, :, 1] == supply, supply * (1 - least_distance), np.inf)
-    held = np.minimum(np.maximum(used[:, 2:], floor), ceiling)
-    # Between sources too near each other there is no room, so the point is taken beyond both.
-    used[:, 2:] = np.where(floor <= ceiling, held, supply * (1 + least_distance))
+    pressures = used[:, 2 : 2 + machine.n_volumes]
+    if machine.has_infinite_slopes:
+        held = np.minimum(np.maximum(pressures, floor), ceiling)
+        # Between sources too near each other there is no room, so the point is taken beyond both.
+        pressures[:] = np.where(floor <= ceiling, held, supply * (1 + least_distance))
+        _part(machine, turn, used, least_distance)
     # Rounding is not holding back.
     moved = np.abs(used - asked) > 1e-9 * machine.state_scales
     if not moved.any():
@@ -98,3 +100,13 @@ def held_inside(
         )
         for step, column in np.argwhere(moved)
     )
+
+
+def _part(machine: Machine, turn: Turn, points: FloatArray, least_distance: float) -> None:
+    """Move pressures of volumes that feed each other apart by the least distance, the inner one of a valve first."""
+    for step, areas in enumerate(turn.stairs.areas):
+        for k in reversed(range(machine.n_volumes)):
+            pressure, column = nearest_source(k, points[step], areas, machine.arrays)
+            apart = points[step, 2 + k] - pressure
+            if column >= 0 and abs(apart) < least_distance * pressure:
+                points[step, 2 + k] = pressure * (1 + (least_distance if apart >= 0 else -least_distance))

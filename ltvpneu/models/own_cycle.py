@@ -16,13 +16,15 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, IntArray
 from ltvpneu.errors import NotConvergedError
-from ltvpneu.models.dynamics import STUCK, source_ranges
+from ltvpneu.models.dynamics import STUCK
 from ltvpneu.models.integrator import OK
 from ltvpneu.models.linearize import HeldBack, Linearization, LtvModel, assemble
-from ltvpneu.models.machine import Machine, OpeningTable
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.machine_arrays import OpeningTable
 from ltvpneu.models.march import NOT_CONVERGED, Marched, Plan, Steps, march_period
 from ltvpneu.models.mesh import cut_schedule, cuts_by_error, even_cuts
 from ltvpneu.models.nonlinear import integration_settings, raise_stopped, rests_in_a_band, step_label
+from ltvpneu.models.quasi_static import nearest_source
 from ltvpneu.models.repeat import Repeated, repeat_march
 from ltvpneu.models.runge_kutta import Run
 from ltvpneu.models.staircase import staircase
@@ -304,11 +306,10 @@ def _held_back(found: Found, steps: Steps) -> tuple[HeldBack, ...]:
     if found.question.mode == "fitted":
         # A fit's slope is that over what its step visits; the chord only stands in for what it does not visit.
         return ()
-    sources = source_ranges(found.plan.areas, machine.arrays)
     held: list[HeldBack] = []
     for step, column in np.argwhere(steps.held > 0):
         asked = float(steps.points[step, column])
-        near = sources[int(steps.table[step, 0]), column - 2]
-        used = float(near[np.argmin(np.abs(near - asked))])
+        openings = found.plan.areas[int(steps.table[step, 0])]
+        used = float(nearest_source(int(column) - 2, steps.points[step], openings, machine.arrays)[0])
         held.append(HeldBack(step=int(step), state=machine.states[column], asked=asked, used=used))
     return tuple(held)

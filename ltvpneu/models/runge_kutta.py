@@ -13,7 +13,7 @@ from scipy.integrate import RK45
 from ltvpneu._arrays import BoolArray, FloatArray
 from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.dynamics import state_rate
-from ltvpneu.models.machine import MachineArrays
+from ltvpneu.models.machine_arrays import MachineArrays
 
 
 class Schedule(NamedTuple):

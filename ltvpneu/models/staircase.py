@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, read_only, whole
-from ltvpneu.models.machine import Machine, OpeningTable
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.machine_arrays import OpeningTable
 
 
 class Staircase(NamedTuple):

@@ -22,9 +22,12 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.dynamics import STUCK, chamber_volume, source_range, state_rate, state_tangent
-from ltvpneu.models.machine import MachineArrays
+from ltvpneu.models.dynamics import STUCK, chamber_volume, state_rate
+from ltvpneu.models.machine_arrays import MachineArrays
+from ltvpneu.models.quasi_static import nearest_source
+from ltvpneu.models.tangent import state_tangent
 from ltvpneu.periodic.small import solve
+from ltvpneu.physics.properties import LIQUID
 
 DECAY_AT_REST = 40.0
 """Exponent by which the velocity of a resting piston decays over its step: what is left of it is below rounding."""
@@ -86,12 +89,13 @@ def tangent_at(
         state_tangent(state, areas, machine, True, A, found.B)
         for k in range(2, n):
             held[k] = 0.0
-            low, high = source_range(k - 2, areas, machine)
-            source = low if abs(state[k] - low) <= abs(state[k] - high) else high
+        # A liquid's flow is laminar where pressures meet, and its slope finite.
+        for k in range(2, 2 + (machine.chambers.shape[0] if machine.medium.kind != LIQUID else 0)):
+            source, column = nearest_source(k - 2, state, areas, machine)
             apart = state[k] - source
             if math.isfinite(source) and abs(apart) < distance * source:
                 held[k] = 1.0 - abs(apart) / (distance * source)
-                _chord(state, (k, source, held[k]), areas, mode, machine, found)
+                _chord(state, (k, source, held[k], column), areas, mode, machine, found)
         if mode == STUCK:
             A[0, 1] = 0.0
             for j in range(n):
@@ -105,15 +109,16 @@ def tangent_at(
 
 @compiled
 def _chord(
-    state: FloatArray, near: tuple[int, float, float], areas: FloatArray, mode: int, machine: MachineArrays,
+    state: FloatArray, near: tuple[int, float, float, int], areas: FloatArray, mode: int, machine: MachineArrays,
     found: Tangent,
 ) -> None:  # fmt: skip
     """Blend the chord from a pressure to a near source's into its slope, and the difference into the source's column.
 
     The flow depends on the difference of the two, nearly. Within `LEAST_SEPARATION` the rate is on the chord too.
-    `near` holds the state's number, the source's pressure and the chord's share.
+    `near` holds the state's number, the source's pressure, the chord's share, and whose pressure the source's is: a
+    column of the state, or -1 for the supply, -2 for the exhaust.
     """
-    k, source, share = near
+    k, source, share, column = near
     n = state.size
     least = LEAST_SEPARATION * source
     apart = state[k] - source
@@ -131,8 +136,10 @@ def _chord(
     found.A[k, k] = share * chord + (1.0 - share) * others[k, k]
     for j in range(3):
         found.B[k, j] = inputs[k, j]
-    column = 0 if source == machine.supply.pressure else 1
-    found.B[k, column] += others[k, k] - found.A[k, k]
+    if column >= 0:
+        found.A[k, column] = others[k, column] + others[k, k] - found.A[k, k]
+    else:
+        found.B[k, -1 - column] += others[k, k] - found.A[k, k]
 
 
 @compiled
@@ -168,10 +175,22 @@ def mean_visited(visited: Visited) -> FloatArray:
 
 
 @compiled
+def volume_of_row(row: int, machine: MachineArrays) -> int:
+    """Return the volume whose pressure or temperature a row of the state holds."""
+    n_volumes = machine.chambers.shape[0]
+    if row < 2 + n_volumes:
+        return row - 2
+    for k in range(n_volumes):
+        if machine.temperature_state[k] == row:
+            return k
+    return 0
+
+
+@compiled
 def fit_visited(
     visited: Visited, mean: FloatArray, machine: MachineArrays, mode: int, scales: FloatArray, matrix: FloatArray
 ) -> None:
-    """Replace the pressure rows of a tangent at the trajectory's mean by the fit over the trajectory.
+    """Replace the rows of pressures and temperatures of a tangent at the trajectory's mean by the fit over it.
 
     Parameters
     ----------
@@ -205,7 +224,8 @@ def fit_visited(
                 i = first + q - 1
                 c[q] = (z[i] - mean[i]) / scales[i]
             for k in range(2, n):
-                volume = chamber_volume(k - 2, z[0], machine) / machine.chambers[k - 2, 0]
+                of = volume_of_row(k, machine)
+                volume = chamber_volume(of, z[0], machine) / machine.chambers[of, 0]
                 weight = _WEIGHTS[node] * span * volume * volume
                 total[k - 2] += weight
                 left = slope[k] / scales[k]
@@ -221,7 +241,8 @@ def fit_visited(
         share = LEAST_SHARE_RIDGE
         # A flow that does not fall with the chamber's own pressure is no flow: such a slope comes of a short path along
         # which pressure, position and velocity go hand in hand. Then more of the tangent is kept.
-        while own < 0.0 and matrix[k, k] + found[k - first + 1] > LEAST_SLOPE * own and share < 1e6:
+        is_pressure = k < 2 + machine.chambers.shape[0]
+        while is_pressure and own < 0.0 and matrix[k, k] + found[k - first + 1] > LEAST_SLOPE * own and share < 1e6:
             found = _ridge_fit(moments[k - 2], sums[k - 2], total[k - 2], RIDGE, share)
             share *= 10.0
         constant = found[0]

@@ -69,12 +69,13 @@ def stiction_band(machine: Machine, frequency: float) -> StictionBand:
         Neither a spring nor end stops bound the interval.
     """
     positive("frequency", frequency, "Hz")
-    load, cylinder = machine.load, machine.cylinder
+    load = machine.load
     held = replace(machine, load=replace(load, stiction=1e12))
     hold = holding_force(load.dry_friction, load.stiction)
 
     def forces(position: float) -> tuple[float, float]:
-        start = np.array([position, 0.0] + [machine.exhaust_pressure] * len(cylinder.chambers))
+        start = np.array(machine.rest_state)
+        start[0] = position
         orbit = nonlinear_orbit(held, frequency, start)
         times = np.union1d(np.linspace(0.0, orbit.period, SAMPLES), orbit.step_times)
         found = [external_force(state, machine.arrays) for state in orbit.at(times).T.copy()]
@@ -106,7 +107,7 @@ def _bracket(machine: Machine, hold: float) -> tuple[float, float]:
     """Return positions beyond which no pressure between the sources' holds the piston, within stops and volumes."""
     load, arrays = machine.load, machine.arrays
     lower, upper = machine.cylinder.lower_stop, machine.cylinder.upper_stop
-    for volume, slope in arrays.chambers[:, :2]:
+    for volume, slope in arrays.chambers[: len(machine.cylinder.chambers), :2]:
         edge = -volume / slope
         if slope > 0:
             lower = max(lower, 0.999 * edge)

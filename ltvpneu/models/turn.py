@@ -10,10 +10,11 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, IntArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.dynamics import STUCK, source_flow
+from ltvpneu.models.dynamics import STUCK
 from ltvpneu.models.integrator import OK
 from ltvpneu.models.march import Plan, Steps, march_period
 from ltvpneu.models.runge_kutta import Run, Schedule
+from ltvpneu.models.supply_flow import source_flow
 from ltvpneu.periodic.small import apply, exponential
 
 INTERVALS = 32

@@ -203,7 +203,7 @@ class _Factors:
         if before == STUCK:
             # Breaks away where the external force reaches what holds it.
             gradient[0] = -load.spring_stiffness
-            gradient[2:] = self.machine.arrays.chambers[:, 3]
+            gradient[2 : 2 + self.machine.n_volumes] = self.machine.arrays.chambers[:, 3]
             gradient *= self.scales
         elif at_stop and abs(arriving[1]) > 1e-6 * self.scales[1]:
             gradient[0] = 1.0

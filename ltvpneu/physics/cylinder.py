@@ -6,10 +6,12 @@ stands open to the return pressure.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 from ltvpneu._arrays import finite, positive
+from ltvpneu.physics.inner_volume import check_one_process
+from ltvpneu.physics.thermal import EnergyBalance
 
 
 @final
@@ -26,7 +28,9 @@ class Cylinder:
     seal_friction_area : float
         C_p [m^2], a change of area, either sign.
     polytropic_exponent_1, polytropic_exponent_2 : float
-        n_1, n_2 [-], at least 1; 1 is isothermal.
+        n_1, n_2 [-]; 1 is isothermal, the heat capacity ratio adiabatic and reversible.
+    energy_balance_1, energy_balance_2 : EnergyBalance or None
+        Instead of an exponent: the chamber's temperature is a state.
     lower_stop, upper_stop : float
         Positions of the end stops [m], where the piston lands without rebound; infinite where there are none, as in
         the paper.
@@ -39,6 +43,8 @@ class Cylinder:
     seal_friction_area: float = 0.0
     polytropic_exponent_1: float = 1.0
     polytropic_exponent_2: float = 1.0
+    energy_balance_1: EnergyBalance | None = None
+    energy_balance_2: EnergyBalance | None = None
     lower_stop: float = -math.inf
     upper_stop: float = math.inf
 
@@ -48,9 +54,9 @@ class Cylinder:
             volume = getattr(self, f"dead_volume_{side}")
             if volume is not None:
                 positive(f"dead_volume_{side}", volume, "m^3")
-            exponent = getattr(self, f"polytropic_exponent_{side}")
-            if finite(f"polytropic_exponent_{side}", exponent) < 1:
-                raise ValueError(f"polytropic_exponent_{side}: found {exponent:g}, expected 1 (isothermal) or more")
+            exponent, balance = self.process(f"chamber_{side}")
+            positive(f"polytropic_exponent_{side}", exponent)
+            check_one_process(f"_{side}", exponent, balance)
         finite("seal_friction_area", self.seal_friction_area, "m^2")
         if self.dead_volume_1 is None and self.dead_volume_2 is None:
             raise ValueError("dead_volume_1, dead_volume_2: found neither, expected at least one chamber")
@@ -80,6 +86,21 @@ class Cylinder:
         """Names of the sides that are chambers: "chamber_1", "chamber_2"."""
         volumes = (self.dead_volume_1, self.dead_volume_2)
         return tuple(f"chamber_{side}" for side, volume in enumerate(volumes, start=1) if volume is not None)
+
+    def process(self, chamber: str) -> tuple[float, EnergyBalance | None]:
+        """Return a chamber's polytropic exponent and its energy balance, of which one counts."""
+        side = chamber[-1]
+        return getattr(self, f"polytropic_exponent_{side}"), getattr(self, f"energy_balance_{side}")
+
+    def with_process(self, exponent: float, balance: EnergyBalance | None) -> "Cylinder":
+        """Return the cylinder with one process in both chambers."""
+        return replace(
+            self,
+            polytropic_exponent_1=exponent,
+            polytropic_exponent_2=exponent,
+            energy_balance_1=balance,
+            energy_balance_2=balance,
+        )
 
     @property
     def push_area_1(self) -> float:

@@ -19,8 +19,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, final
 
-from ltvpneu._arrays import finite, positive
+import numpy as np
+
+from ltvpneu._arrays import FloatArray, finite, positive, read_only
 from ltvpneu._compiled import compiled
+from ltvpneu.physics.properties import IDEAL, Properties
 
 
 class GasConstants(NamedTuple):
@@ -33,6 +36,9 @@ class GasConstants(NamedTuple):
     choked: float
     """sqrt(gamma / R (2 / (gamma + 1))^((gamma + 1) / (gamma - 1))) [sqrt(kg K/J)]."""
     critical_pressure_ratio: float
+
+
+NO_TABLE = read_only(np.empty(0))
 
 
 class GasState(NamedTuple):
@@ -75,6 +81,16 @@ class Gas:
         positive("temperature", self.temperature, "K")
 
     @property
+    def kind(self) -> int:
+        """Which laws the compiled kernels take."""
+        return IDEAL
+
+    @property
+    def table(self) -> FloatArray:
+        """Empty: all that an ideal gas needs are its constants."""
+        return NO_TABLE
+
+    @property
     def critical_pressure_ratio(self) -> float:
         """r_c below which the flow is choked [-]; exponent gamma/(gamma-1), printed 1/(gamma-1) (erratum E2)."""
         return self.constants.critical_pressure_ratio
@@ -98,3 +114,15 @@ def polytropic_temperature(pressure: float, exponent: float, temperature: float,
     if exponent == 1.0:
         return temperature
     return temperature * (pressure / reference) ** ((exponent - 1.0) / exponent)
+
+
+@compiled
+def ideal_properties(pressure: float, temperature: float, gas: GasConstants) -> Properties:
+    """Density p/(R T) and internal energy R T/(gamma - 1), with derivatives."""
+    R, T = gas.specific_gas_constant, temperature
+    heat = R / (gas.heat_capacity_ratio - 1.0)
+    rho_p = 1.0 / (R * T)
+    rho = pressure * rho_p
+    return Properties(
+        rho, rho_p, -rho / T, 0.0, -rho_p / T, 2.0 * rho / (T * T), heat * T, 0.0, heat, 0.0, 0.0, 0.0
+    )

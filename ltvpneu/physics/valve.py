@@ -24,6 +24,7 @@ from typing import Any, Literal, cast, final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, finite_array, not_negative
+from ltvpneu.physics.inner_volume import InnerVolume
 
 TURN = 2 * math.pi
 # Two angles nearer than this are the same switching instant; 1e-9 of a turn is 1 ns at 1 Hz.
@@ -330,6 +331,8 @@ class RotaryValve:
         Overrides the geometry: ports of phase "on" are open over [0, 2 pi duty], those of phase "off" over the rest.
     pulses : Pulses or None
         Overrides the geometry likewise, by several pulses a turn.
+    inner_volumes : tuple of InnerVolume
+        Sizes of the inner volumes, for models that keep them as chambers.
 
     Examples
     --------
@@ -345,8 +348,16 @@ class RotaryValve:
     offset_angle: float = 0.0
     duty: float | None = None
     pulses: Pulses | None = None
+    inner_volumes: tuple[InnerVolume, ...] = ()
 
     def __post_init__(self) -> None:
+        known = self.volumes
+        for i, inner in enumerate(self.inner_volumes):
+            if inner.name not in known or inner.name in [other.name for other in self.inner_volumes[:i]]:
+                raise ValueError(
+                    f"inner_volumes[{i}]: found the name {inner.name!r}, expected each of the ports' volumes once: "
+                    f"{', '.join(known)}"
+                )
         if not self.ports:
             raise ValueError("ports: found none, expected at least one")
         if self.duty is not None and self.pulses is not None:

@@ -66,7 +66,7 @@ def test_ten_slots_equal_brute_force(machine, goals, measure, allowed):
 def test_air_use_is_that_of_the_linear_flow(machine):
     found = design.optimize_pattern(machine, 4.0, 8, mean={"position": (0.04, 0.06)}, minimize="air_use", refit=False)
     areas, point = patterns._two_positions(machine), patterns._first_points(machine, 4.0)
-    from ltvpneu.models.dynamics import supply_flow_tangents
+    from ltvpneu.models.supply_flow import supply_flow_tangents
     from ltvpneu.periodic.exponential import ExponentialTrajectory
 
     rows, inputs, offsets = supply_flow_tangents(point, areas, 1e-3, machine.arrays)

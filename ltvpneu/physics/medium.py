@@ -1,0 +1,191 @@
+"""One door to the media: ideal gas, real gas, liquid. A new medium is a file of its own and a branch here.
+
+The models ask for three things: `properties`, from which a chamber's pressure and temperature follow; the flow through
+a path and its slopes; and where the medium's laws end. The ideal gas has its own short cut in the models' inner loop
+(`flow.mass_flow`); all else goes through here.
+"""
+
+import math
+from typing import NamedTuple
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu._compiled import compiled
+from ltvpneu.physics.flow import mass_flow, mass_flow_slopes
+from ltvpneu.physics.gas import Gas, GasConstants, GasState, ideal_properties
+from ltvpneu.physics.liquid import Liquid, liquid_flow_slopes, liquid_in_range, liquid_properties
+from ltvpneu.physics.properties import IDEAL, LIQUID, Properties
+from ltvpneu.physics.real_gas import RealGas, in_table, real_flux_slopes, real_properties
+
+Medium = Gas | RealGas | Liquid
+
+LAMINAR = 1e-5
+"""Relative difference of pressures within which a gas flows in proportion to it [-], where that is asked for."""
+
+
+class MediumArrays(NamedTuple):
+    """A medium as the compiled kernels read it."""
+
+    kind: int
+    """`IDEAL`, `REAL` or `LIQUID`."""
+    laminar: float
+    """Relative difference of pressures within which a gas flows in proportion to it [-]; 0 for never, as in the paper.
+
+    Eq. (5) has an infinite slope where the pressures meet. Real orifices are laminar there, and a volume that feeds another
+    or has a temperature of its own would creep along that edge in tiny steps."""
+    gas: GasConstants
+    """Of an ideal gas, or of one like a real gas."""
+    table: FloatArray
+    """Parameters of a medium that is not an ideal gas."""
+
+
+@compiled
+def properties(pressure: float, temperature: float, medium: MediumArrays) -> Properties:
+    """Density and internal energy of a medium at a pressure [Pa] and a temperature [K], with derivatives."""
+    if medium.kind == IDEAL:
+        return ideal_properties(pressure, temperature, medium.gas)
+    if medium.kind == LIQUID:
+        return liquid_properties(pressure, medium.table)
+    return real_properties(pressure, temperature, medium.table)
+
+
+@compiled
+def in_range(pressure: float, temperature: float, medium: MediumArrays) -> bool:
+    """Whether a medium's laws hold at a pressure [Pa] and a temperature [K]."""
+    if not (pressure > 0.0 and temperature > 0.0):
+        return False
+    if medium.kind == IDEAL:
+        return True
+    if medium.kind == LIQUID:
+        return liquid_in_range(pressure, medium.table)
+    return in_table(pressure, temperature, medium.table)
+
+
+class Flow(NamedTuple):
+    """Mass flow [kg/s] and its slopes over the pressures on both sides and the temperature upstream."""
+
+    flow: float
+    by_upstream: float
+    by_downstream: float
+    by_temperature: float
+
+
+@compiled
+def _through(
+    area: float, upstream: float, downstream: float, temperature: float, medium: MediumArrays
+) -> Flow:
+    """Flow through one restriction of a real gas or a liquid."""
+    if area == 0.0:
+        return Flow(0.0, 0.0, 0.0, 0.0)
+    if medium.kind == LIQUID:
+        flow, by_upstream, by_downstream = liquid_flow_slopes(area, upstream, downstream, medium.table)
+        return Flow(flow, by_upstream, by_downstream, 0.0)
+    flux, by_upstream, by_downstream, by_temperature = real_flux_slopes(
+        upstream, downstream, temperature, medium.table
+    )
+    return Flow(area * flux, area * by_upstream, area * by_downstream, area * by_temperature)
+
+
+@compiled
+def _pressure_between(
+    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumArrays
+) -> float:
+    """Pressure between two restrictions in series that pass the same flow [Pa], by bisection.
+
+    The temperature between them is taken as that upstream, which throttling changes by a real gas's Joule-Thomson
+    effect only.
+    """
+    low, high = downstream, upstream
+    middle = 0.5 * (low + high)
+    while low < middle < high:
+        into = _through(areas[0], upstream, middle, temperature, medium).flow
+        if into > _through(areas[1], middle, downstream, temperature, medium).flow:
+            low = middle
+        else:
+            high = middle
+        middle = 0.5 * (low + high)
+    return middle
+
+
+@compiled
+def _forward(
+    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumArrays
+) -> Flow:
+    """Flow through the two effective areas of a path, the second infinite where there is none."""
+    if areas[0] == 0.0 or areas[1] == 0.0:
+        return Flow(0.0, 0.0, 0.0, 0.0)
+    if medium.kind == IDEAL:
+        high, low = GasState(upstream, temperature), GasState(downstream, temperature)
+        flow = mass_flow(areas[0], areas[1], high, low, medium.gas)
+        by_upstream, by_downstream = mass_flow_slopes(areas[0], areas[1], high, low, medium.gas)
+        # M_f ~ T^(-1/2) of the side upstream, (5).
+        return Flow(flow, by_upstream, by_downstream, -0.5 * flow / temperature)
+    if math.isinf(areas[1]):
+        return _through(areas[0], upstream, downstream, temperature, medium)
+    if upstream == downstream and medium.kind != LIQUID:
+        return Flow(0.0, math.inf, -math.inf, 0.0)
+    middle = _pressure_between(areas, upstream, downstream, temperature, medium)
+    one = _through(areas[0], upstream, middle, temperature, medium)
+    two = _through(areas[1], middle, downstream, temperature, medium)
+    # Implicit function theorem on M_1(p_u, p_m, T) = M_2(p_m, p_d, T).
+    apart = one.by_downstream - two.by_upstream
+    return Flow(
+        two.flow,
+        -one.by_upstream * two.by_upstream / apart,
+        one.by_downstream * two.by_downstream / apart,
+        one.by_temperature + one.by_downstream * (two.by_temperature - one.by_temperature) / apart,
+    )
+
+
+@compiled
+def _laminar(
+    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumArrays
+) -> Flow:
+    """Flow that is proportional to the difference of the pressures, up to that of eq. (5) where laminar flow ends."""
+    share = medium.laminar
+    edge = _forward(areas, upstream, (1.0 - share) * upstream, temperature, medium)
+    part = (upstream - downstream) / (share * upstream)
+    chord = edge.flow / (share * upstream)
+    by_both = edge.by_upstream + (1.0 - share) * edge.by_downstream
+    return Flow(
+        part * edge.flow, chord + part * (by_both - edge.flow / upstream), -chord, part * edge.by_temperature
+    )
+
+
+@compiled
+def path_flow_slopes(
+    first: float, second: float, source: GasState, chamber: GasState, medium: MediumArrays
+) -> tuple[float, float, float, float]:
+    """Mass flow from a source into a chamber [kg/s] and its slopes.
+
+    Parameters
+    ----------
+    first, second : float
+        Effective areas C A [m^2] on the side of the source and of the chamber; `second` infinite where there is none.
+    source, chamber : GasState
+    medium : MediumArrays
+
+    Returns
+    -------
+    tuple of float
+        Flow; slopes over the source's and the chamber's pressure [kg/(s Pa)] and over the temperature of the side that
+        it comes from [kg/(s K)].
+    """
+    forward = source.pressure >= chamber.pressure
+    high, low = (source, chamber) if forward else (chamber, source)
+    areas = (first, second) if forward or math.isinf(second) else (second, first)
+    if high.pressure - low.pressure < medium.laminar * high.pressure and medium.kind != LIQUID:
+        found = _laminar(areas, high.pressure, low.pressure, high.temperature, medium)
+    else:
+        found = _forward(areas, high.pressure, low.pressure, high.temperature, medium)
+    if forward:
+        return found.flow, found.by_upstream, found.by_downstream, found.by_temperature
+    return -found.flow, -found.by_downstream, -found.by_upstream, -found.by_temperature
+
+
+@compiled
+def path_flow(first: float, second: float, source: GasState, chamber: GasState, medium: MediumArrays) -> float:
+    """Mass flow from a source into a chamber [kg/s], as of `path_flow_slopes`."""
+    high = max(source.pressure, chamber.pressure)
+    if medium.kind == IDEAL and abs(source.pressure - chamber.pressure) >= medium.laminar * high:
+        return mass_flow(first, second, source, chamber, medium.gas)
+    return path_flow_slopes(first, second, source, chamber, medium)[0]
