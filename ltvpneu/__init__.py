@@ -1,7 +1,9 @@
 """Control design for pneumatic actuators switched by on-off valves, on python-control."""
 
 from ltvpneu.errors import (
+    CavitationError,
     ChamberVolumeError,
+    GasRangeError,
     IntegrationError,
     LtvpneuError,
     MachineFileError,
@@ -19,11 +21,12 @@ from ltvpneu.errors import (
 from ltvpneu.face.machine_file import load_machine
 from ltvpneu.face.plots import plot
 from ltvpneu.models.amplitude import AmplitudeResponse, amplitude_response
+from ltvpneu.models.connections import FlowPath
 from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.linearize import Linearization, LtvModel, linearize
 from ltvpneu.models.lti import lti_model
 from ltvpneu.models.ltv import ltv_model
-from ltvpneu.models.machine import FlowPath, Machine
+from ltvpneu.models.machine import Machine
 from ltvpneu.models.maps import OrbitMap, ValidityMap, orbit_map, validity_map
 from ltvpneu.models.nonlinear import DormandPrince, RungeKutta4, nonlinear_orbit, simulate
 from ltvpneu.models.parameters import ParameterSensitivity, nonlinear_sensitivity, parameter_sensitivity
@@ -49,25 +52,36 @@ from ltvpneu.periodic.system import PeriodicSystem, Step
 from ltvpneu.periodic.variation import Variation
 from ltvpneu.physics.cylinder import Cylinder
 from ltvpneu.physics.gas import Gas
+from ltvpneu.physics.inner_volume import InnerVolume
+from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
+from ltvpneu.physics.proportional import Command, ProportionalValve
+from ltvpneu.physics.real_gas import RealGas
+from ltvpneu.physics.thermal import EnergyBalance
 from ltvpneu.physics.valve import OnOffValve, Port, Profile, RotaryValve, Window
 
 __version__ = "0.1.0"
 
 __all__ = [
     "AmplitudeResponse",
+    "CavitationError",
     "ChamberVolumeError",
+    "Command",
     "Cylinder",
     "DormandPrince",
+    "EnergyBalance",
     "ErrorEstimate",
     "Estimator",
     "Floquet",
     "FlowPath",
     "Gas",
+    "GasRangeError",
     "Gradient",
     "Gramians",
+    "InnerVolume",
     "IntegrationError",
     "Linearization",
+    "Liquid",
     "Load",
     "LtvModel",
     "LtvpneuError",
@@ -89,6 +103,8 @@ __all__ = [
     "Port",
     "ProductMultipliers",
     "Profile",
+    "ProportionalValve",
+    "RealGas",
     "Regulator",
     "RotaryValve",
     "RungeKutta4",

@@ -29,9 +29,9 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 
 from ltvpneu._arrays import FloatArray, finite_array, read_only
-from ltvpneu.models.dynamics import tangents
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.tangent import tangents
 from ltvpneu.periodic.propagate import balancing_scales
 from ltvpneu.periodic.system import PeriodicSystem
 

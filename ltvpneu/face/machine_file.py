@@ -9,10 +9,17 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 from ltvpneu.errors import MachineFileError
 from ltvpneu.face.units import Dimension, parse
-from ltvpneu.models.machine import FlowPath, Machine
+from ltvpneu.models.connections import FlowPath
+from ltvpneu.models.machine import Machine, Valve
 from ltvpneu.physics.cylinder import Cylinder
 from ltvpneu.physics.gas import Gas
+from ltvpneu.physics.inner_volume import InnerVolume
+from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
+from ltvpneu.physics.medium import Medium
+from ltvpneu.physics.proportional import Command, ProportionalValve
+from ltvpneu.physics.real_gas import RealGas
+from ltvpneu.physics.thermal import EnergyBalance
 from ltvpneu.physics.valve import OnOffValve, Port, Pulses, RotaryValve, Window, check_pulses
 
 Kind = Dimension | type
@@ -28,18 +35,38 @@ class Key(NamedTuple):
 
 _MACHINE = {
     "name": Key(str, True), "source": Key(str), "supply_pressure": Key("pressure", True),
-    "exhaust_pressure": Key("pressure", True), "collapse": Key(str), "gas": Key(dict), "cylinder": Key(dict, True),
-    "load": Key(dict, True), "valve": Key(dict, True), "flow_paths": Key(list),
+    "exhaust_pressure": Key("pressure", True), "collapse": Key(str), "gas": Key(dict), "liquid": Key(dict),
+    "cylinder": Key(dict, True), "load": Key(dict, True), "valve": Key(dict, True), "flow_paths": Key(list),
     "more_valves": Key(list),
 }  # fmt: skip
 _GAS = {
     "heat_capacity_ratio": Key("number"), "specific_gas_constant": Key("gas constant"),
     "temperature": Key("temperature"),
 }  # fmt: skip
+_REAL_GAS = {
+    "fluid": Key(str, True), "temperature": Key("temperature"), "pressure_range": Key(list),
+    "temperature_range": Key(list),
+}  # fmt: skip
+_LIQUID = {
+    "density": Key("density"), "bulk_modulus": Key("pressure"), "bulk_modulus_slope": Key("number"),
+    "entrained_gas": Key("number"), "gas_exponent": Key("number"), "viscosity": Key("viscosity"),
+    "critical_reynolds_number": Key("number"), "vapor_pressure": Key("pressure"),
+    "reference_pressure": Key("pressure"), "temperature": Key("temperature"),
+}  # fmt: skip
+_ENERGY_BALANCE = {
+    "heat_transfer_coefficient": Key("heat transfer coefficient"), "wall_area": Key("area"),
+    "wall_temperature": Key("temperature"),
+}  # fmt: skip
+_INNER_VOLUME = {
+    "name": Key(str), "volume": Key("volume", True), "polytropic_exponent": Key("number"),
+    "energy_balance": Key(dict),
+}  # fmt: skip
+_PROPORTIONAL = {"type": Key(str, True), "command": Key(list, True)}
 _CYLINDER = {
     "piston_area_1": Key("area", True), "piston_area_2": Key("area", True), "dead_volume_1": Key("volume"),
     "dead_volume_2": Key("volume"), "seal_friction_area": Key("area"), "polytropic_exponent_1": Key("number"),
-    "polytropic_exponent_2": Key("number"), "lower_stop": Key("length"), "upper_stop": Key("length"),
+    "polytropic_exponent_2": Key("number"), "energy_balance_1": Key(dict), "energy_balance_2": Key(dict),
+    "lower_stop": Key("length"), "upper_stop": Key("length"),
 }  # fmt: skip
 _LOAD = {
     "mass": Key("mass", True), "spring_stiffness": Key("stiffness"), "viscous_damping": Key("damping"),
@@ -51,6 +78,7 @@ _ROTARY = {
     "duty": Key("number"),
     "pulses": Key(list),
     "ports": Key(list, True),
+    "inner_volumes": Key(list),
 }
 _ON_OFF = {
     "type": Key(str, True), "duty": Key("number"), "ramp": Key("angle"), "start": Key("angle"), "pulses": Key(list),
@@ -118,12 +146,13 @@ def parse_machine(text: str, file: str) -> Machine:
         raise MachineFileError(f"{file}: not valid TOML: {error}") from error
     top = _table(data, _MACHINE, file, "")
     top.pop("source", None)
-    gas = _build(Gas, _table(top.pop("gas", {}), _GAS, file, "gas"), file, "gas")
+    gas = _medium(top, file)
     found = _table(top.pop("cylinder"), _CYLINDER, file, "cylinder")
+    _energy_balances(found, ("energy_balance_1", "energy_balance_2"), file, "cylinder")
     cylinder = _build(Cylinder, {"dead_volume_1": None, **found}, file, "cylinder")
     load = _build(Load, _table(top.pop("load"), _LOAD, file, "load"), file, "load")
     valve = _valve(top.pop("valve"), file)
-    more = tuple(_on_off(entry, file, f"more_valves[{i}]") for i, entry in enumerate(top.pop("more_valves", [])))
+    more = tuple(_plain_valve(entry, file, f"more_valves[{i}]") for i, entry in enumerate(top.pop("more_valves", [])))
     paths = tuple(_flow_path(entry, file, f"flow_paths[{i}]") for i, entry in enumerate(top.pop("flow_paths", [])))
     return _build(
         Machine,
@@ -141,15 +170,67 @@ def parse_machine(text: str, file: str) -> Machine:
     )
 
 
-def _valve(data: dict[str, Any], file: str) -> RotaryValve | OnOffValve:
+def _medium(top: dict[str, Any], file: str) -> Medium:
+    """Take the tables of the medium out of the file's."""
+    gas, liquid = top.pop("gas", None), top.pop("liquid", None)
+    if gas is not None and liquid is not None:
+        raise MachineFileError(f"{file}: gas, liquid: found both tables, expected one: what flows")
+    if liquid is not None:
+        return _build(Liquid, _table(liquid, _LIQUID, file, "liquid"), file, "liquid")
+    if gas is None or "fluid" not in gas:
+        return _build(Gas, _table(gas or {}, _GAS, file, "gas"), file, "gas")
+    found = _table(gas, _REAL_GAS, file, "gas")
+    ranges: dict[str, Dimension] = {"pressure_range": "pressure", "temperature_range": "temperature"}
+    for key, dimension in ranges.items():
+        if key in found:
+            found[key] = _pair(found[key], (dimension, dimension), file, f"gas.{key}")
+    return _build(RealGas, found, file, "gas")
+
+
+def _pair(entry: Any, kinds: tuple[Dimension, Dimension], file: str, where: str) -> tuple[Any, Any]:
+    """Return two quantities that stand in one array."""
+    if not isinstance(entry, list) or len(pair := cast(list[Any], entry)) != 2:
+        raise MachineFileError(f"{file}: {where}: found {entry!r}, expected two: {kinds[0]}, {kinds[1]}")
+    return _entry(pair[0], kinds[0], file, where), _entry(pair[1], kinds[1], file, where)
+
+
+def _energy_balances(found: dict[str, Any], keys: tuple[str, ...], file: str, where: str) -> None:
+    for key in keys:
+        if key in found:
+            table = _table(found[key], _ENERGY_BALANCE, file, f"{where}.{key}")
+            found[key] = _build(EnergyBalance, table, file, f"{where}.{key}")
+
+
+def _inner_volume(data: object, file: str, where: str) -> InnerVolume:
+    found = _table(data, _INNER_VOLUME, file, where)
+    _energy_balances(found, ("energy_balance",), file, where)
+    return _build(InnerVolume, found, file, where)
+
+
+def _plain_valve(data: object, file: str, where: str) -> OnOffValve | ProportionalValve:
+    """Return a valve that is no more than its openings."""
+    if not isinstance(data, dict) or cast(dict[str, Any], data).get("type") != "proportional":
+        return _on_off(data, file, where)
+    found = _table(cast(dict[str, Any], data), _PROPORTIONAL, file, where)
+    points = [
+        _pair(entry, ("angle", "number"), file, f"{where}.command[{i}]") for i, entry in enumerate(found["command"])
+    ]
+    values = {"angles": tuple(angle for angle, _ in points), "openings": tuple(value for _, value in points)}
+    command = _build(Command, values, file, f"{where}.command")
+    return ProportionalValve(command=command)
+
+
+def _valve(data: dict[str, Any], file: str) -> Valve:
     kind = data.get("type")
-    if kind == "on_off":
-        return _on_off(data, file, "valve")
+    if kind in ("on_off", "proportional"):
+        return _plain_valve(data, file, "valve")
     if kind != "rotary":
-        raise MachineFileError(f'{file}: valve.type: found {kind!r}, expected "rotary" or "on_off"')
+        raise MachineFileError(f'{file}: valve.type: found {kind!r}, expected "rotary", "on_off" or "proportional"')
     found = _table(data, _ROTARY, file, "valve")
     del found["type"]
     found["ports"] = tuple(_port(entry, file, f"valve.ports[{i}]") for i, entry in enumerate(found["ports"]))
+    inner = enumerate(found.get("inner_volumes", []))
+    found["inner_volumes"] = tuple(_inner_volume(entry, file, f"valve.inner_volumes[{i}]") for i, entry in inner)
     if "pulses" in found:
         found["pulses"] = _pulses(found["pulses"], 0.0, file, "valve")
     return _build(RotaryValve, found, file, "valve")
@@ -159,7 +240,7 @@ def _on_off(data: object, file: str, where: str) -> OnOffValve:
     found = _table(data, _ON_OFF, file, where)
     kind = found.pop("type")
     if kind != "on_off":
-        raise MachineFileError(f'{file}: {where}.type: found {kind!r}, expected "on_off"')
+        raise MachineFileError(f'{file}: {where}.type: found {kind!r}, expected "on_off" or "proportional"')
     if "pulses" in found:
         for key in ("duty", "start"):
             if key in found:

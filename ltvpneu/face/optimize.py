@@ -300,6 +300,8 @@ def _named(option: str, text: str, known: Sequence[str]) -> tuple[str, str]:
 def _dimension(name: str) -> Dimension:
     if name.startswith("pressure"):
         return "pressure"
+    if name.startswith("temperature"):
+        return "temperature"
     if re.fullmatch(r"(on|off)_\d+", name) or name.endswith((".start", ".width")):
         return "angle"
     return DIMENSIONS.get(name, "number")

@@ -39,6 +39,8 @@ def unit_of(signal: str) -> Unit:
         return Unit(1.0, "m/s")
     if signal.startswith("pressure"):
         return Unit(1e-5, "bar")
+    if signal.startswith("temperature"):
+        return Unit(1.0, "K")
     return Unit(1.0, "")
 
 

@@ -13,6 +13,8 @@ from ltvpneu.models.stiction_band import StictionBand
 from ltvpneu.models.variational import OrbitFloquet
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.physics.liquid import Liquid
+from ltvpneu.physics.real_gas import RealGas
 
 LABELS = {"nonlinear": "nonlinear", "ltv": "LTV", "lti": "LTI"}
 
@@ -76,12 +78,14 @@ def machine_table(machine: Machine) -> str:
         ],
         ["dry friction / stiction", f"{load.dry_friction:.4g} / {load.stiction:.4g} N"],
         ["collapse of the valve's volume", machine.collapse],
+        ["medium", medium_text(machine)],
+        *([f"process in {name.replace('_', ' ')}", process_text(machine, k)] for k, name in enumerate(machine.volumes)),
     ]
     for connection in machine.connections:
         area = 1e6 * float(np.max([connection.first.starts.max(), connection.first.ends.max()]))
         rows.append(
             [
-                f"{connection.source} to {connection.chamber.replace('_', ' ')}",
+                f"{connection.source.replace('_', ' ')} to {connection.chamber.replace('_', ' ')}",
                 f"at most {area:.4g} mm² effective",
             ]
         )
@@ -89,23 +93,49 @@ def machine_table(machine: Machine) -> str:
     return "\n".join(f"  {name.ljust(width)}   {value}" for name, value in rows)
 
 
+def medium_text(machine: Machine) -> str:
+    """Return what flows."""
+    gas = machine.gas
+    if isinstance(gas, Liquid):
+        modulus = gas.effective_bulk_modulus(machine.supply_pressure) / 1e9
+        return f"liquid of {gas.density:.4g} kg/m³, bulk modulus {modulus:.3g} GPa at supply pressure"
+    if isinstance(gas, RealGas):
+        return f"real gas: {gas.fluid} at {gas.temperature:.5g} K"
+    return f"ideal gas, γ = {gas.heat_capacity_ratio:.4g}, R = {gas.specific_gas_constant:.5g} J/(kg K)"
+
+
+def process_text(machine: Machine, k: int) -> str:
+    """Return the thermal process of volume k."""
+    arrays = machine.arrays
+    if isinstance(machine.gas, Liquid):
+        return "by its bulk modulus"
+    if arrays.temperature_state[k] >= 0:
+        conductance, wall = arrays.walls[k]
+        return f"energy balance, wall {conductance:.3g} W/K at {wall:.5g} K" if conductance else "adiabatic"
+    exponent = arrays.chambers[k, 2]
+    return "isothermal" if exponent == 1 else f"polytropic, n = {exponent:.4g}"
+
+
 def operating_text(study: Study) -> str:
     """Return operating points of every case, and the matrices of the middle one."""
     machine = study.machine
     rows: list[list[str]] = []
+    temperatures = machine.states[2 + machine.n_volumes :]
     for case in study.cases:
         for name, model in case.models.items():
             # The LTI model has one point; it stands in the first row.
             for step, point in enumerate(model.operating_points[: 1 if name == "lti" else None]):
                 held = any(h.step == step for h in model.held_back)
-                pressures = [f"{p / 1e5:.4f}" for p in point[2:]]
+                pressures = [
+                    shown_number(name, value) for name, value in zip(machine.states[2:], point[2:], strict=True)
+                ]
                 duration = f"{1e3 * model.system.durations[step]:.4g}"
                 position = f"{1e3 * point[0]:.2f}"
                 label = f"{case.frequency:g} Hz {LABELS[name]}"
                 rows.append([label, str(step + 1), duration, position, *pressures, "yes" if held else ""])
     if not rows:
         return "\n".join(["  none", *failure_lines(study.cases)])
-    names = [f"{name.replace('_', ' ')} [bar]" for name in machine.states[2:]]
+    names = [f"{name.replace('_', ' ')} [{'K' if name in temperatures else 'bar'}]" for name in machine.states[2:]]
     text = [table(["model", "step", "duration [ms]", "position [mm]", *names, "held back"], rows)]
     text += _held_back_text(study)
     case = study.cases[len(study.cases) // 2]
@@ -140,9 +170,15 @@ def _held_back_text(study: Study) -> list[str]:
     return lines
 
 
+def shown_number(signal: str, value: float) -> str:
+    """Return a pressure in bar, or a temperature in K, as it stands in tables."""
+    return f"{value:.2f}" if signal.startswith("temperature") else f"{value / 1e5:.4f}"
+
+
 def shown(signal: str, value: float) -> str:
     """Return a value in the unit in which its signal is shown."""
-    factor, symbol = {"position": (1e3, "mm"), "velocity": (1.0, "m/s")}.get(signal, (1e-5, "bar"))
+    units = {"position": (1e3, "mm"), "velocity": (1.0, "m/s")}
+    factor, symbol = units.get(signal, (1.0, "K") if signal.startswith("temperature") else (1e-5, "bar"))
     return f"{factor * value:.5g} {symbol}"
 
 
@@ -196,7 +232,8 @@ def multipliers_text(found: Floquet | OrbitFloquet) -> str:
 def cycle_table(cases: Sequence[Case]) -> str:
     """Return amplitude, mean and pressures of the models, with errors against the nonlinear one."""
     rows: list[list[str]] = []
-    pressures = cases[0].machine.states[2:]
+    machine = cases[0].machine
+    pressures = machine.states[2 : 2 + machine.n_volumes]
     for case in cases:
         reference = case.orbits.get("nonlinear")
         for name, orbit in case.orbits.items():

@@ -1,6 +1,7 @@
 """The figures of a study as plain data in SI units, for a JSON file."""
 
 import math
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -52,13 +53,9 @@ def machine_data(machine: Machine) -> dict[str, Any]:
         "duty": machine.duty,
         "collapse": machine.collapse,
         "states": list(machine.states),
-        "cylinder": dict(vars(cylinder)),
+        "cylinder": asdict(cylinder),
         "load": dict(vars(load)),
-        "gas": {
-            "heat_capacity_ratio": gas.heat_capacity_ratio,
-            "specific_gas_constant": gas.specific_gas_constant,
-            "temperature": gas.temperature,
-        },
+        "gas": {"kind": type(gas).__name__, **{field.name: getattr(gas, field.name) for field in fields(gas)}},
         "connections": [
             {
                 "source": c.source,

@@ -13,12 +13,12 @@ INCH, POUND_FORCE = 0.0254, 4.4482216152605
 
 Dimension = Literal[
     "pressure", "length", "area", "volume", "mass", "force", "stiffness", "damping", "temperature", "angle",
-    "gas constant", "number",
+    "gas constant", "heat transfer coefficient", "density", "viscosity", "number",
 ]  # fmt: skip
 
 _UNITS: dict[Dimension, dict[str, float]] = {
     "pressure": {
-        "Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 1e2, "atm": ATMOSPHERE,
+        "Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "bar": 1e5, "mbar": 1e2, "atm": ATMOSPHERE,
         "psi": POUND_FORCE / INCH**2,
     },
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": INCH},
@@ -35,13 +35,17 @@ _UNITS: dict[Dimension, dict[str, float]] = {
     "temperature": {"K": 1.0, "degC": 1.0, "degF": 5 / 9},
     "angle": {"rad": 1.0, "deg": 0.017453292519943295, "turn": 6.283185307179586},
     "gas constant": {"J/(kg K)": 1.0, "kJ/(kg K)": 1e3},
+    "heat transfer coefficient": {"W/(m^2 K)": 1.0, "kW/(m^2 K)": 1e3},
+    "density": {"kg/m^3": 1.0, "g/cm^3": 1e3, "kg/l": 1e3},
+    "viscosity": {"Pa s": 1.0, "mPa s": 1e-3, "cP": 1e-3},
     "number": {"": 1.0, "%": 1e-2},
 }  # fmt: skip
 _ZERO_POINTS = {"K": 0.0, "degC": 273.15, "degF": 459.67 * 5 / 9}
 _EXAMPLES: dict[Dimension, str] = {
     "pressure": "0.41 MPa", "length": "80 mm", "area": "16 mm^2", "volume": "8.2 cm^3", "mass": "1.75 kg",
     "force": "26.6 N", "stiffness": "2.1 kN/m", "damping": "43.7 N s/m", "temperature": "20 degC", "angle": "180 deg",
-    "gas constant": "287.05 J/(kg K)", "number": "0.5",
+    "gas constant": "287.05 J/(kg K)",
+    "heat transfer coefficient": "60 W/(m^2 K)", "density": "860 kg/m^3", "viscosity": "27.5 mPa s", "number": "0.5",
 }  # fmt: skip
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*(.*?)\s*$")
 

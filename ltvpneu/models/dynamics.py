@@ -44,7 +44,7 @@ def gas_in_chamber(k: int, pressure: float, machine: MachineArrays) -> GasState:
 @compiled
 def gas_in_volume(k: int, state: FloatArray, machine: MachineArrays) -> GasState:
     """Return pressure [Pa] and temperature [K] in volume k, whatever its process."""
-    place = machine.temperature_state[k]
+    place = int(machine.temperature_state[k])
     if place >= 0:
         return GasState(state[2 + k], state[place])
     return gas_in_chamber(k, state[2 + k], machine)
@@ -129,8 +129,7 @@ def _volume_rates(
     for k in range(n_volumes):
         here = gas_in_volume(k, state, machine)
         if not (
-            chamber_volume(k, state[0], machine) > 0.0
-            and in_range(here.pressure, here.temperature, machine.medium)
+            chamber_volume(k, state[0], machine) > 0.0 and in_range(here.pressure, here.temperature, machine.medium)
         ):
             return False
         # Mass and energy flow first gather where the rates will stand.
@@ -195,9 +194,7 @@ def density_along(k: int, here: GasState, machine: MachineArrays) -> Along:
     return Along(
         found.rho,
         found.rho_p + found.rho_T * slope,
-        found.rho_pp
-        + (2.0 * found.rho_pT + found.rho_TT * slope) * slope
-        + found.rho_T * curvature,
+        found.rho_pp + (2.0 * found.rho_pT + found.rho_TT * slope) * slope + found.rho_T * curvature,
     )
 
 

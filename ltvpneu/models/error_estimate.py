@@ -12,10 +12,13 @@ from ltvpneu.models.defect import Given, corrected
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.staircase import step_means
 from ltvpneu.periodic.orbit import Orbit, signal_index
+from ltvpneu.physics.liquid import Liquid
 
 CELLS = 256
 """Cells of the fine staircase on which the defect is taken, in each valve period."""
 MOST_CORRECTIONS = 4
+MOST_PRESSURE = 4.0
+"""Highest pressure of a liquid that operating points are kept at, over that of the supply [-]."""
 LEAST_TEMPERATURE, MOST_TEMPERATURE = 0.3, 3.0
 """Range that temperatures of operating points are kept in, over that of the surroundings [-]."""
 SETTLED, NEGLIGIBLE = 0.2, 2e-3
@@ -125,7 +128,11 @@ class _Corrector:
         machine = self.machine
         held = points.copy()
         count = 2 + machine.n_volumes
-        held[:, 2:count] = np.clip(held[:, 2:count], 0.95 * machine.exhaust_pressure, 1.05 * machine.supply_pressure)
+        lowest, highest = 0.95 * machine.exhaust_pressure, 1.05 * machine.supply_pressure
+        if isinstance(machine.gas, Liquid):
+            # A moving mass drives a liquid far past its sources' pressures.
+            lowest, highest = 2 * machine.gas.vapor_pressure, MOST_PRESSURE * machine.supply_pressure
+        held[:, 2:count] = np.clip(held[:, 2:count], lowest, highest)
         temperature = machine.gas.temperature
         held[:, count:] = np.clip(held[:, count:], LEAST_TEMPERATURE * temperature, MOST_TEMPERATURE * temperature)
         for V, A in machine.arrays.chambers[: len(machine.cylinder.chambers), :2]:

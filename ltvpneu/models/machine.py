@@ -223,7 +223,8 @@ class Machine:
             process = EnergyBalance()
         elif isinstance(process, str):
             raise ValueError(
-                f'process: found {process!r}, expected "isothermal", "adiabatic", a polytropic exponent or an EnergyBalance'
+                f'process: found {process!r}, expected "isothermal", "adiabatic", a polytropic exponent or an '
+                "EnergyBalance"
             )
         exponent, balance = (1.0, process) if isinstance(process, EnergyBalance) else (float(process), None)
         machine = replace(self, cylinder=self.cylinder.with_process(exponent, balance))
@@ -334,7 +335,9 @@ class Machine:
         open_side = sum(row[3] for name, row in rows.items() if name not in c.chambers)
         each = [rows[name] for name in c.chambers]
         each += [(inner.volume, 0.0, inner.polytropic_exponent, 0.0) for inner in self.inner_volumes]
-        ends = [(volumes.index(p.source) if p.source in volumes else -1, volumes.index(p.chamber)) for p in self.connections]
+        ends = [
+            (volumes.index(p.source) if p.source in volumes else -1, volumes.index(p.chamber)) for p in self.connections
+        ]
         places, count = np.full(len(volumes), -1, dtype=np.int64), 2 + len(volumes)
         walls = np.zeros((len(volumes), 2))
         for k, balance in enumerate(self._balances):

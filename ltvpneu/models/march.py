@@ -32,6 +32,8 @@ from ltvpneu.models.step_models import (
     tangent_at,
 )
 from ltvpneu.periodic.small import advanced, apply, exponential, solve
+from ltvpneu.physics.liquid import vapor_pressure
+from ltvpneu.physics.properties import LIQUID
 
 TOO_MANY_EVENTS, NOT_CONVERGED = 11, 12
 """How a march ended, beside the integrator's ways."""
@@ -278,7 +280,11 @@ def _is_inside(state: FloatArray, plan: Plan) -> bool:
     machine = plan.run.machine
     for k in range(machine.chambers.shape[0]):
         volume = chamber_volume(k, state[0] * plan.scales[0], machine)
-        if volume < LEAST_SHARE * machine.chambers[k, 0] or state[2 + k] < LEAST_SHARE:
+        # A liquid may well fall to a small share of its supply pressure; where it cavitates it ends.
+        least = LEAST_SHARE
+        if machine.medium.kind == LIQUID:
+            least = vapor_pressure(machine.medium.table) / plan.scales[2 + k]
+        if volume < LEAST_SHARE * machine.chambers[k, 0] or state[2 + k] < least:
             return False
         place = machine.temperature_state[k]
         if place >= 0 and state[place] < LEAST_SHARE:

@@ -284,8 +284,8 @@ def _initial_state(machine: Machine, initial_state: ArrayLike | None) -> FloatAr
         here = gas_in_volume(k, state, arrays)
         if not in_range(here.pressure, here.temperature, arrays.medium):
             raise ValueError(
-                f"initial_state: found {name} at {here.pressure:g} Pa and {here.temperature:g} K, expected it where the "
-                f"laws of the medium hold: {limits_of(machine)}"
+                f"initial_state: found {name} at {here.pressure:g} Pa and {here.temperature:g} K, expected it where "
+                f"the laws of the medium hold: {limits_of(machine)}"
             )
     return state
 
@@ -321,17 +321,17 @@ def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray)
         lowest = int(np.argmin(state[2 : 2 + machine.n_volumes]))
         if state[2 + lowest] < 2 * machine.gas.vapor_pressure + NEAR_VAPOR * machine.supply_pressure:
             raise CavitationError(
-                f"the liquid in {chambers[lowest]} would cavitate at t = {time:.6g} s ({where}): its pressure falls to the "
-                f"vapor pressure {machine.gas.vapor_pressure:g} Pa. Raise the exhaust pressure or the area through which "
-                "the chamber fills, or slow the load down; the liquid model has no vapor",
+                f"the liquid in {chambers[lowest]} would cavitate at t = {time:.6g} s ({where}): its pressure falls to "
+                f"the vapor pressure {machine.gas.vapor_pressure:g} Pa. Raise the exhaust pressure or the area through "
+                "which the chamber fills, or slow the load down; the liquid model has no vapor",
                 time=time,
                 state=state,
             )
     if isinstance(machine.gas, RealGas) and status == LEFT_DOMAIN:
         here = gas_in_volume(0, state, arrays)
         raise GasRangeError(
-            f"the gas left the range of its properties at t = {time:.6g} s ({where}): {limits_of(machine)}. Give RealGas "
-            "a wider pressure_range or temperature_range",
+            f"the gas left the range of its properties at t = {time:.6g} s ({where}): {limits_of(machine)}. Give "
+            "RealGas a wider pressure_range or temperature_range",
             pressure=here.pressure,
             temperature=here.temperature,
         )

@@ -37,6 +37,7 @@ from ltvpneu.models.own_cycle import MAX_PERIODS, Found, new_steps, retabled, tr
 from ltvpneu.models.repeat import repeat_march
 from ltvpneu.models.runge_kutta import Run
 from ltvpneu.periodic.orbit import Orbit, Trajectory, signal_index
+from ltvpneu.physics.proportional import Command
 from ltvpneu.physics.valve import Pulses
 
 PARAMETERS = ("duty", "frequency", "supply_pressure", "exhaust_pressure")
@@ -332,6 +333,8 @@ def pulse_edge(name: str) -> int | None:
 def pulse_edges(machine: Machine) -> tuple[float, ...]:
     """Return the angles at which the valve goes on and off in turn [rad]."""
     on = machine.valve.on_window()
+    if isinstance(on, Command):
+        raise ValueError("parameters: found a switching angle of a proportional valve, which follows its command")
     return on.edges if isinstance(on, Pulses) else (on.start, on.start + on.width)
 
 

@@ -22,7 +22,7 @@ def is_open(path: int, areas: FloatArray) -> bool:
 
 @compiled
 def source_range(k: int, areas: FloatArray, machine: MachineArrays) -> tuple[float, float]:
-    """Lowest and highest of the supply and exhaust pressure that volume k is open to [Pa]; (inf, -inf) where it is not."""
+    """Lowest and highest of the supply and exhaust pressure that volume k is open to [Pa]; (inf, -inf) for neither."""
     low, high = math.inf, -math.inf
     for path in range(machine.path_chamber.size):
         if machine.path_chamber[path] == k and machine.path_volume[path] < 0 and is_open(path, areas):
@@ -33,7 +33,7 @@ def source_range(k: int, areas: FloatArray, machine: MachineArrays) -> tuple[flo
 
 @compiled
 def only_source(k: int, areas: FloatArray, machine: MachineArrays) -> float:
-    """Pressure of the one source that volume k is open to, of whatever path [Pa]; nan where there are none or several."""
+    """Pressure of the one source that volume k is open to [Pa]; nan where there is none, or more to be open to."""
     low, high = source_range(k, areas, machine)
     for path in range(machine.path_chamber.size):
         joins = machine.path_volume[path] >= 0 and (machine.path_chamber[path] == k or machine.path_volume[path] == k)
@@ -53,10 +53,9 @@ def nearest_source(k: int, state: FloatArray, areas: FloatArray, machine: Machin
         into, other = machine.path_chamber[path], machine.path_volume[path]
         if not is_open(path, areas) or (into != k and other != k):
             continue
-        if other == k:
-            pressure, place = state[2 + into], 2 + into
-        elif other >= 0:
-            pressure, place = state[2 + other], 2 + other
+        if other >= 0:
+            place = 2 + (into if other == k else other)
+            pressure = float(state[place])
         elif machine.path_from_supply[path]:
             pressure, place = machine.supply.pressure, -1
         else:
@@ -107,7 +106,7 @@ def settle_volumes(areas: FloatArray, machine: MachineArrays, state: FloatArray)
 
 @compiled
 def _groups(areas: FloatArray, machine: MachineArrays) -> tuple[IntArray, BoolArray]:
-    """Return which volumes are joined by open paths, as the least number of each group, and which groups have a source."""
+    """Return which volumes open paths join, as the least number of each group, and which groups have a source."""
     n_volumes = machine.chambers.shape[0]
     group, anchored = np.arange(n_volumes), np.zeros(n_volumes, dtype=np.bool_)
     for _ in range(n_volumes):
@@ -161,7 +160,7 @@ def _balance_volume(k: int, areas: FloatArray, machine: MachineArrays, state: Fl
 
 @compiled
 def _settle_temperature(k: int, areas: FloatArray, machine: MachineArrays, state: FloatArray) -> None:
-    """Set the temperature of a volume with an energy balance to that of what flows in and of its wall, by their weights.
+    """Set the temperature of a volume with an energy balance to that of inflow and wall, by their weights.
 
     Where neither is there, any temperature is at rest, and that of the surroundings is taken.
     """
@@ -175,8 +174,7 @@ def _settle_temperature(k: int, areas: FloatArray, machine: MachineArrays, state
         into, other = machine.path_chamber[path], machine.path_volume[path]
         if (into == k or other == k) and is_open(path, areas):
             source, inside = gas_at_source(path, state, machine), gas_in_volume(into, state, machine)
-            flow = path_flow(areas[0, path], areas[1, path], source, inside, machine.medium
-            )
+            flow = path_flow(areas[0, path], areas[1, path], source, inside, machine.medium)
             coming = flow if into == k else -flow
             if coming > 0.0:
                 weight += heat * coming

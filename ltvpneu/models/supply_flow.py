@@ -22,8 +22,7 @@ def source_flow(states: FloatArray, areas: FloatArray, from_supply: bool, machin
         for path in range(machine.path_chamber.size):
             if machine.path_volume[path] < 0 and machine.path_from_supply[path] == from_supply:
                 inside = gas_in_volume(machine.path_chamber[path], states[i], machine)
-                found[i] += path_flow(areas[i, 0, path], areas[i, 1, path], source, inside, machine.medium
-                )
+                found[i] += path_flow(areas[i, 0, path], areas[i, 1, path], source, inside, machine.medium)
     return found
 
 
@@ -54,7 +53,8 @@ def supply_flow_tangents(
                 by_state[i, 2 + k] += slope
                 by_input[i, 0] -= slope
                 continue
-            through, by_source, by_chamber, by_temperature = path_flow_slopes(first, second, source, inside, machine.medium
+            through, by_source, by_chamber, by_temperature = path_flow_slopes(
+                first, second, source, inside, machine.medium
             )
             by_state[i, 2 + k] += by_chamber
             by_input[i, 0] += by_source

@@ -34,8 +34,8 @@ def state_tangent(
     state, areas, machine
         As for `state_rate`; dry friction, constant on either side of rest, has no part in the tangent.
     full : bool
-        Whether to take all derivatives. If not, the paper's choice (8b): in the rows of pressures and temperatures, none
-        over the position, and the others as at rest.
+        Whether to take all derivatives. If not, the paper's choice (8b): in the rows of pressures and temperatures,
+        none over the position, and the others as at rest.
     A : ndarray, shape (n, n)
     B : ndarray, shape (n, 3)
         Over supply pressure, exhaust pressure and external force.
@@ -48,18 +48,27 @@ def state_tangent(
     A[1, 1] = -load.viscous_damping / load.mass
     B[1, 1] = load.open_push_area / load.mass
     B[1, 2] = 1.0 / load.mass
-    # Flow of mass into each volume [kg/s], and of energy [W]; their derivatives gather in the rows of A and B.
-    totals = np.zeros((n_volumes, 2))
+    sums = _Sums(np.zeros((n_volumes, 2)), A, B)
     for path in range(machine.path_chamber.size):
         if areas[0, path] != 0.0 and areas[1, path] != 0.0:
-            _add_path(path, state, areas, machine, totals, A, B)
+            _add_path(path, state, areas, machine, sums)
     velocity = state[1] if full else 0.0
     for k in range(n_volumes):
         A[1, 2 + k] = machine.chambers[k, 3] / load.mass
         if machine.temperature_state[k] < 0:
-            _pressure_row(k, state, velocity, totals[k, 0], full, machine, A, B)
+            _pressure_row(k, state, velocity, full, machine, sums)
         else:
-            _energy_rows(k, state, velocity, (totals[k, 0], totals[k, 1]), full, machine, A, B)
+            _energy_rows(k, state, velocity, full, machine, sums)
+
+
+class _Sums(NamedTuple):
+    """What gathers over the paths."""
+
+    totals: FloatArray
+    """Flow of mass [kg/s] and of energy [W] into each volume, (n_volumes, 2)."""
+    A: FloatArray
+    """The derivatives of these, in the rows where those of the rates will stand, (n, n)."""
+    B: FloatArray
 
 
 class _Slopes(NamedTuple):
@@ -90,14 +99,15 @@ def _add(column: int, value: float, row_A: FloatArray, row_B: FloatArray) -> Non
 def _slopes(path: int, state: FloatArray, areas: FloatArray, machine: MachineArrays) -> _Slopes:
     k, other = machine.path_chamber[path], machine.path_volume[path]
     source, inside = gas_at_source(path, state, machine), gas_in_volume(k, state, machine)
-    flow, by_source, by_chamber, by_temperature = path_flow_slopes(areas[0, path], areas[1, path], source, inside, machine.medium
+    flow, by_source, by_chamber, by_temperature = path_flow_slopes(
+        areas[0, path], areas[1, path], source, inside, machine.medium
     )
     column = 2 + other if other >= 0 else (-1 if machine.path_from_supply[path] else -2)
     volume = k if flow < 0.0 else other
     upstream = 2 + k if flow < 0.0 else column
     temperature = -3
     if volume >= 0:
-        temperature = machine.temperature_state[volume]
+        temperature = int(machine.temperature_state[volume])
         if temperature < 0:
             temperature = 2 + volume
             by_temperature *= temperature_slope(volume, inside if flow < 0.0 else source, machine)
@@ -105,11 +115,9 @@ def _slopes(path: int, state: FloatArray, areas: FloatArray, machine: MachineArr
 
 
 @compiled
-def _add_path(
-    path: int, state: FloatArray, areas: FloatArray, machine: MachineArrays, totals: FloatArray, A: FloatArray,
-    B: FloatArray,
-) -> None:  # fmt: skip
+def _add_path(path: int, state: FloatArray, areas: FloatArray, machine: MachineArrays, sums: _Sums) -> None:
     """Add a path's flows to the volumes at its ends, and their derivatives to the rows of these."""
+    totals, A, B = sums.totals, sums.A, sums.B
     k, other = machine.path_chamber[path], machine.path_volume[path]
     found = _slopes(path, state, areas, machine)
     for end in range(2):
@@ -142,11 +150,9 @@ def _add_flow(factor: float, found: _Slopes, row_A: FloatArray, row_B: FloatArra
 
 
 @compiled
-def _pressure_row(
-    k: int, state: FloatArray, velocity: float, mass: float, full: bool, machine: MachineArrays, A: FloatArray,
-    B: FloatArray,
-) -> None:  # fmt: skip
+def _pressure_row(k: int, state: FloatArray, velocity: float, full: bool, machine: MachineArrays, sums: _Sums) -> None:
     """Turn the derivatives of a volume's mass flow into those of its pressure's rate (M - rho V') / (V d rho/dp)."""
+    mass, A, B = sums.totals[k, 0], sums.A, sums.B
     volume, slope = chamber_volume(k, state[0], machine), machine.chambers[k, 1]
     along = density_along(k, gas_in_volume(k, state, machine), machine)
     factor = 1.0 / (volume * along.by_pressure)
@@ -162,20 +168,18 @@ def _pressure_row(
 
 
 @compiled
-def _energy_rows(
-    k: int, state: FloatArray, velocity: float, totals: tuple[float, float], full: bool, machine: MachineArrays,
-    A: FloatArray, B: FloatArray,
-) -> None:  # fmt: skip
+def _energy_rows(k: int, state: FloatArray, velocity: float, full: bool, machine: MachineArrays, sums: _Sums) -> None:
     """Turn the derivatives of a volume's mass and energy flow into those of the rates of pressure and temperature.
 
     Of M(y) y' = b(y) the derivative is M^-1 (b_y - M_y y').
     """
+    A, B = sums.A, sums.B
     p, row, place = 2 + k, 2 + k, machine.temperature_state[k]
     volume, slope, here = chamber_volume(k, state[0], machine), machine.chambers[k, 1], gas_in_volume(k, state, machine)
     found = properties(here.pressure, here.temperature, machine.medium)
     conductance, swept = machine.walls[k, 0], slope * velocity
     rho, u = found.rho, found.u
-    mass, energy = totals
+    mass, energy = sums.totals[k, 0], sums.totals[k, 1]
     energy += conductance * (machine.walls[k, 1] - here.temperature)
     rates = balanced(found, volume, mass - rho * swept, energy - here.pressure * swept - u * mass)
     for j in range(state.size):

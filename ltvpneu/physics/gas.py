@@ -123,6 +123,4 @@ def ideal_properties(pressure: float, temperature: float, gas: GasConstants) -> 
     heat = R / (gas.heat_capacity_ratio - 1.0)
     rho_p = 1.0 / (R * T)
     rho = pressure * rho_p
-    return Properties(
-        rho, rho_p, -rho / T, 0.0, -rho_p / T, 2.0 * rho / (T * T), heat * T, 0.0, heat, 0.0, 0.0, 0.0
-    )
+    return Properties(rho, rho_p, -rho / T, 0.0, -rho_p / T, 2.0 * rho / (T * T), heat * T, 0.0, heat, 0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Inner volume of a valve, kept as a chamber of its own: V_2 in Table 1 of [Kunt1990]_, the paper's N_c control volumes."""
+"""Inner volume of a valve as a chamber of its own: V_2 in Table 1 of [Kunt1990]_, one of the paper's N_c volumes."""
 
 from dataclasses import dataclass
 from typing import final
@@ -39,6 +39,6 @@ def check_one_process(suffix: str, exponent: float, balance: EnergyBalance | Non
     """Raise where a volume has both a polytropic exponent and an energy balance."""
     if balance is not None and exponent != 1.0:
         raise ValueError(
-            f"polytropic_exponent{suffix}: found {exponent:g} beside energy_balance{suffix}, expected one of them: either "
-            "the exponent ties the temperature to the pressure, or the energy balance says what it is"
+            f"polytropic_exponent{suffix}: found {exponent:g} beside energy_balance{suffix}, expected one of them: "
+            "either the exponent ties the temperature to the pressure, or the energy balance says what it is"
         )

@@ -87,12 +87,14 @@ class Liquid:
         positive("bulk_modulus", self.bulk_modulus, "Pa")
         not_negative("bulk_modulus_slope", self.bulk_modulus_slope)
         if not 0 <= finite("entrained_gas", self.entrained_gas) < 1:
-            raise ValueError(f"entrained_gas: found {self.entrained_gas:g}, expected a share of the volume, 0 to below 1")
+            raise ValueError(
+                f"entrained_gas: found {self.entrained_gas:g}, expected a share of the volume, 0 to below 1"
+            )
         positive("gas_exponent", self.gas_exponent)
         if positive("viscosity", self.viscosity, "Pa s") < LEAST_VISCOSITY:
             raise ValueError(
-                f"viscosity: found {self.viscosity:g} Pa s, expected {LEAST_VISCOSITY:g} Pa s or more (water: 1e-3); is "
-                "it a kinematic one, in m^2/s? Multiply it by the density"
+                f"viscosity: found {self.viscosity:g} Pa s, expected {LEAST_VISCOSITY:g} Pa s or more (water: 1e-3); "
+                "is it a kinematic one, in m^2/s? Multiply it by the density"
             )
         positive("critical_reynolds_number", self.critical_reynolds_number)
         positive("vapor_pressure", self.vapor_pressure, "Pa")
@@ -100,8 +102,8 @@ class Liquid:
         positive("temperature", self.temperature, "K")
         if self.bulk_modulus_slope * self.reference_pressure >= self.bulk_modulus:
             raise ValueError(
-                f"bulk_modulus_slope: found {self.bulk_modulus_slope:g}, with which the bulk modulus falls to zero above "
-                "vacuum; expected less than bulk_modulus / reference_pressure"
+                f"bulk_modulus_slope: found {self.bulk_modulus_slope:g}, with which the bulk modulus falls to zero "
+                "above vacuum; expected less than bulk_modulus / reference_pressure"
             )
 
     @property
@@ -136,10 +138,8 @@ def liquid_properties(pressure: float, table: FloatArray) -> Properties:
     rise = pressure - reference
     own = K + slope * rise
     # v_l' / v_l = -1 / K(p), so its second derivative is v_l (1 + K') / K(p)^2.
-    if slope > 0.0:
-        liquid = (1.0 - share) * (own / K) ** (-1.0 / slope)
-    else:
-        liquid = (1.0 - share) * math.exp(-rise / K)
+    murnaghan = (own / K) ** (-1.0 / slope) if slope > 0.0 else math.exp(-rise / K)
+    liquid = (1.0 - share) * murnaghan
     gas = share * (reference / pressure) ** inverse
     v = liquid + gas
     v_p = -liquid / own - inverse * gas / pressure
@@ -151,9 +151,15 @@ def liquid_properties(pressure: float, table: FloatArray) -> Properties:
 
 
 @compiled
+def vapor_pressure(table: FloatArray) -> float:
+    """Pressure below which the liquid cavitates [Pa]."""
+    return table[7]
+
+
+@compiled
 def liquid_in_range(pressure: float, table: FloatArray) -> bool:
     """Whether a liquid stays one: above its vapor pressure."""
-    return pressure > table[7]
+    return pressure > vapor_pressure(table)
 
 
 @compiled

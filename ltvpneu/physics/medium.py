@@ -12,9 +12,10 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
 from ltvpneu.physics.flow import mass_flow, mass_flow_slopes
 from ltvpneu.physics.gas import Gas, GasConstants, GasState, ideal_properties
+from ltvpneu.physics.gas_table import in_table, real_flux_slopes, real_properties
 from ltvpneu.physics.liquid import Liquid, liquid_flow_slopes, liquid_in_range, liquid_properties
 from ltvpneu.physics.properties import IDEAL, LIQUID, Properties
-from ltvpneu.physics.real_gas import RealGas, in_table, real_flux_slopes, real_properties
+from ltvpneu.physics.real_gas import RealGas
 
 Medium = Gas | RealGas | Liquid
 
@@ -30,8 +31,8 @@ class MediumArrays(NamedTuple):
     laminar: float
     """Relative difference of pressures within which a gas flows in proportion to it [-]; 0 for never, as in the paper.
 
-    Eq. (5) has an infinite slope where the pressures meet. Real orifices are laminar there, and a volume that feeds another
-    or has a temperature of its own would creep along that edge in tiny steps."""
+    Eq. (5) has an infinite slope where the pressures meet. Real orifices are laminar there, and a volume that feeds
+    another or has a temperature of its own would creep along that edge in tiny steps."""
     gas: GasConstants
     """Of an ideal gas, or of one like a real gas."""
     table: FloatArray
@@ -70,18 +71,14 @@ class Flow(NamedTuple):
 
 
 @compiled
-def _through(
-    area: float, upstream: float, downstream: float, temperature: float, medium: MediumArrays
-) -> Flow:
+def _through(area: float, upstream: float, downstream: float, temperature: float, medium: MediumArrays) -> Flow:
     """Flow through one restriction of a real gas or a liquid."""
     if area == 0.0:
         return Flow(0.0, 0.0, 0.0, 0.0)
     if medium.kind == LIQUID:
         flow, by_upstream, by_downstream = liquid_flow_slopes(area, upstream, downstream, medium.table)
         return Flow(flow, by_upstream, by_downstream, 0.0)
-    flux, by_upstream, by_downstream, by_temperature = real_flux_slopes(
-        upstream, downstream, temperature, medium.table
-    )
+    flux, by_upstream, by_downstream, by_temperature = real_flux_slopes(upstream, downstream, temperature, medium.table)
     return Flow(area * flux, area * by_upstream, area * by_downstream, area * by_temperature)
 
 
@@ -146,9 +143,7 @@ def _laminar(
     part = (upstream - downstream) / (share * upstream)
     chord = edge.flow / (share * upstream)
     by_both = edge.by_upstream + (1.0 - share) * edge.by_downstream
-    return Flow(
-        part * edge.flow, chord + part * (by_both - edge.flow / upstream), -chord, part * edge.by_temperature
-    )
+    return Flow(part * edge.flow, chord + part * (by_both - edge.flow / upstream), -chord, part * edge.by_temperature)
 
 
 @compiled

@@ -40,8 +40,8 @@ class Command:
         openings = tuple(finite(f"openings[{i}]", value) for i, value in enumerate(self.openings))
         if not angles or len(angles) != len(openings):
             raise ValueError(
-                f"angles, openings: found {len(angles)} and {len(openings)}, expected as many of one as of the other, at "
-                "least one"
+                f"angles, openings: found {len(angles)} and {len(openings)}, expected as many of one as of the other, "
+                "at least one"
             )
         for i, (before, after) in enumerate(pairwise(angles)):
             if after < before:

@@ -51,8 +51,8 @@ class EnergyBalance:
             there = ", ".join(name for name, found in zip(names, given, strict=True) if found)
             missing = ", ".join(name for name, found in zip(names, given, strict=True) if not found)
             raise ValueError(
-                f"{missing}: found none beside {there}; heat transfer to a wall needs a coefficient, an area and a wall "
-                "temperature, an adiabatic chamber none of them"
+                f"{missing}: found none beside {there}; heat transfer to a wall needs a coefficient, an area and a "
+                "wall temperature, an adiabatic chamber none of them"
             )
 
     @property

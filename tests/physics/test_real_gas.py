@@ -11,15 +11,15 @@ from numpy.testing import assert_allclose
 from scipy.optimize import minimize_scalar
 
 from ltvpneu.errors import GasRangeError
-from ltvpneu.physics import real_gas
-from ltvpneu.physics.real_gas import (
-    RealGas,
+from ltvpneu.physics import gas_table
+from ltvpneu.physics.gas_table import (
     in_table,
     real_critical_ratio,
     real_flux,
     real_flux_slopes,
     real_properties,
 )
+from ltvpneu.physics.real_gas import RealGas
 
 CoolProp = pytest.importorskip("CoolProp")
 
@@ -353,7 +353,7 @@ def test_no_ratio_at_standard_pressure_of_what_is_a_liquid_there():
 
 
 def test_a_range_too_rough_for_the_nodes_at_hand_is_refused(monkeypatch):
-    monkeypatch.setattr(real_gas, "NODES", ((8, 6),))
+    monkeypatch.setattr(gas_table, "NODES", ((8, 6),))
     gas = replace(RealGas(fluid="CO2"), pressure_range=(0.3e5, 20e5))
     with pytest.raises(GasRangeError, match="series do not die away"):
         _ = gas.table
