@@ -27,6 +27,7 @@ from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycle_figures import CycleFigures, Figure, LinearCycles
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.machine_arrays import SUPPLY
 from ltvpneu.models.nonlinear_figures import NonlinearCycles
 from ltvpneu.models.own_cycle import OwnCycle
 from ltvpneu.models.parameters import is_angle, present_value, pulse_edge, pulse_edges, with_values
@@ -629,7 +630,7 @@ def _pulse_limits(problem: DutyProblem) -> dict[str, cp.Constraint]:
 
 def _flow_size(machine: Machine) -> float:
     """Return the size of flows from the supply: what the largest openings pass when choked [kg/s]."""
-    areas = machine.openings.areas[:, 0][:, machine.arrays.path_from_supply]
+    areas = machine.openings.areas[:, 0][:, machine.arrays.paths[:, 1] == SUPPLY]
     arrays = machine.arrays
     largest = float(np.sum(np.max(areas, axis=0))) if areas.size else 0.0
     back = GasState(max(machine.exhaust_pressure, 0.4 * machine.supply_pressure), machine.gas.temperature)

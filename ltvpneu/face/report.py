@@ -9,6 +9,7 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu.face.study import Case, Study
 from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.machine_arrays import CONDUCTANCE, WALL_TEMPERATURE, temperature_place
 from ltvpneu.models.stiction_band import StictionBand
 from ltvpneu.models.variational import OrbitFloquet
 from ltvpneu.periodic.floquet import Floquet
@@ -109,8 +110,8 @@ def process_text(machine: Machine, k: int) -> str:
     arrays = machine.arrays
     if isinstance(machine.gas, Liquid):
         return "by its bulk modulus"
-    if arrays.temperature_state[k] >= 0:
-        conductance, wall = arrays.walls[k]
+    if temperature_place(k, arrays) >= 0:
+        conductance, wall = arrays.chambers[k, CONDUCTANCE], arrays.chambers[k, WALL_TEMPERATURE]
         return f"energy balance, wall {conductance:.3g} W/K at {wall:.5g} K" if conductance else "adiabatic"
     exponent = arrays.chambers[k, 2]
     return "isothermal" if exponent == 1 else f"polytropic, n = {exponent:.4g}"

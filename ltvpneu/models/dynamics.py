@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled, inlined
-from ltvpneu.models.machine_arrays import MachineArrays
+from ltvpneu.models.machine_arrays import CONDUCTANCE, SUPPLY, WALL_TEMPERATURE, MachineArrays, temperature_place
 from ltvpneu.physics.flow import mass_flow
 from ltvpneu.physics.gas import GasState, polytropic_temperature
 from ltvpneu.physics.medium import in_range, path_flow, properties
@@ -41,22 +41,31 @@ def gas_in_chamber(k: int, pressure: float, machine: MachineArrays) -> GasState:
     return GasState(pressure, temperature)
 
 
-@compiled
+@inlined
 def gas_in_volume(k: int, state: FloatArray, machine: MachineArrays) -> GasState:
     """Return pressure [Pa] and temperature [K] in volume k, whatever its process."""
-    place = int(machine.temperature_state[k])
-    if place >= 0:
-        return GasState(state[2 + k], state[place])
-    return gas_in_chamber(k, state[2 + k], machine)
+    place, pressure = temperature_place(k, machine), state[2 + k]
+    return GasState(pressure, state[place]) if place >= 0 else gas_in_chamber(k, pressure, machine)
 
 
-@compiled
+@inlined
 def gas_at_source(path: int, state: FloatArray, machine: MachineArrays) -> GasState:
     """Return pressure [Pa] and temperature [K] of what feeds a path."""
-    volume = machine.path_volume[path]
+    volume = machine.paths[path, 1]
+    found = machine.supply if volume == SUPPLY else machine.exhaust
     if volume >= 0:
-        return gas_in_volume(volume, state, machine)
-    return machine.supply if machine.path_from_supply[path] else machine.exhaust
+        found = gas_in_volume(volume, state, machine)
+    return found
+
+
+@inlined
+def flow_into(first: float, second: float, source: GasState, inside: GasState, machine: MachineArrays) -> float:
+    """Return the mass flow from a source into a volume through effective areas [m^2], in any medium [kg/s]."""
+    if machine.plain:
+        flow = mass_flow(first, second, source, inside, machine.gas)
+    else:
+        flow = path_flow(first, second, source, inside, machine.medium)
+    return flow
 
 
 @inlined
@@ -108,9 +117,9 @@ def state_rate(state: FloatArray, areas: FloatArray, mode: int, machine: Machine
                 break
             inside = gas_in_chamber(k, state[2 + k], machine)
             flow = 0.0
-            for path in range(machine.path_chamber.size):
-                if machine.path_chamber[path] == k:
-                    source = machine.supply if machine.path_from_supply[path] else machine.exhaust
+            for path in range(machine.paths.shape[0]):
+                if machine.paths[path, 0] == k:
+                    source = machine.supply if machine.paths[path, 1] == SUPPLY else machine.exhaust
                     flow += mass_flow(areas[0, path], areas[1, path], source, inside, machine.gas)
             supplied = machine.gas.specific_gas_constant * inside.temperature * flow
             swept = inside.pressure * machine.chambers[k, 1] * velocity
@@ -134,19 +143,20 @@ def _volume_rates(
             return False
         # Mass and energy flow first gather where the rates will stand.
         rate[2 + k] = 0.0
-        if machine.temperature_state[k] >= 0:
-            rate[machine.temperature_state[k]] = machine.walls[k, 0] * (machine.walls[k, 1] - here.temperature)
-    for path in range(machine.path_chamber.size):
+        place = temperature_place(k, machine)
+        if place >= 0:
+            rate[place] = machine.chambers[k, CONDUCTANCE] * (machine.chambers[k, WALL_TEMPERATURE] - here.temperature)
+    for path in range(machine.paths.shape[0]):
         first, second = areas[0, path], areas[1, path]
         if first == 0.0 or second == 0.0:
             continue
-        k, other = machine.path_chamber[path], machine.path_volume[path]
+        k, other = machine.paths[path, 0], machine.paths[path, 1]
         source, inside = gas_at_source(path, state, machine), gas_in_volume(k, state, machine)
         flow = path_flow(first, second, source, inside, machine.medium)
         rate[2 + k] += flow
         if other >= 0:
             rate[2 + other] -= flow
-        into, out = machine.temperature_state[k], machine.temperature_state[other] if other >= 0 else -1
+        into, out = temperature_place(k, machine), temperature_place(other, machine) if other >= 0 else -1
         if into >= 0 or out >= 0:
             enthalpy = enthalpy_of(source if flow >= 0.0 else inside, machine)[0]
             if into >= 0:
@@ -155,7 +165,7 @@ def _volume_rates(
                 rate[out] -= flow * enthalpy
     for k in range(n_volumes):
         volume, swept = chamber_volume(k, state[0], machine), machine.chambers[k, 1] * velocity
-        place, here = machine.temperature_state[k], gas_in_volume(k, state, machine)
+        place, here = temperature_place(k, machine), gas_in_volume(k, state, machine)
         if place < 0:
             along = density_along(k, here, machine)
             rate[2 + k] = (rate[2 + k] - along.density * swept) / (volume * along.by_pressure)

@@ -10,7 +10,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.dynamics import STUCK, external_force
-from ltvpneu.models.machine_arrays import MachineArrays
+from ltvpneu.models.machine_arrays import MachineArrays, temperature_place
 from ltvpneu.models.quasi_static import only_source
 from ltvpneu.models.runge_kutta import Run, Workspace
 from ltvpneu.physics.friction import holding_force, slip_direction
@@ -166,7 +166,7 @@ def rest_at_source(run: Run, space: Workspace) -> bool:
     # A liquid comes to rest exponentially, a volume with an energy balance goes on as long as its temperature does.
     for k in range(run.machine.chambers.shape[0] if run.machine.medium.kind != LIQUID else 0):
         low = only_source(k, space.areas, run.machine)
-        if not math.isnan(low) and run.machine.temperature_state[k] < 0:
+        if not math.isnan(low) and temperature_place(k, run.machine) < 0:
             difference = before[2 + k] - low
             # The interpolant's first power is the rate at the start of the step, times its length.
             change = space.coefficients[1, 2 + k]

@@ -158,7 +158,7 @@ def new_workspace(start: FloatArray, n_paths: int) -> Workspace:
 def integrate_period(start: FloatArray, run: Run, recording: bool) -> Outcome:
     """Integrate over one valve period from `start`, shape (n_states,)."""
     n = start.size
-    space = new_workspace(start, run.machine.path_chamber.size)
+    space = new_workspace(start, run.machine.paths.shape[0])
     log = (
         Log(np.empty((64, 4)), np.empty((64, 5, n)), 0) if recording else Log(np.empty((0, 4)), np.empty((0, 5, n)), -1)
     )

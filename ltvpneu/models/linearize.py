@@ -17,6 +17,7 @@ from ltvpneu._arrays import FloatArray, finite_array
 from ltvpneu.models.dynamics import gas_in_volume, state_rate
 from ltvpneu.models.error_estimate import ErrorEstimate, error_estimate
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.machine_arrays import TEMPERATURE_PLACE
 from ltvpneu.models.tangent import tangents
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
@@ -118,7 +119,7 @@ def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tan
         )
     levels = machine.levels
     # Of an ideal gas at constant temperature the flow is homogeneous in the pressures: no remainder.
-    isothermal = bool((arrays.chambers[:, 2] == 1.0).all() and (arrays.temperature_state < 0).all())
+    isothermal = bool((arrays.chambers[:, 2] == 1.0).all() and (arrays.chambers[:, TEMPERATURE_PLACE] < 0).all())
     r = np.zeros(states.shape)
     if full or not isothermal or arrays.medium.kind != IDEAL:
         for step, state in enumerate(states):
@@ -143,7 +144,7 @@ def _check_domain(machine: Machine, states: FloatArray) -> None:
         )
     if (states[:, 2:] <= 0).any():
         step, column = np.argwhere(states[:, 2:] <= 0)[0]
-        k = column if column < machine.n_volumes else list(arrays.temperature_state).index(column + 2)
+        k = column if column < machine.n_volumes else list(arrays.chambers[:, TEMPERATURE_PLACE]).index(column + 2)
         what, unit = names[2 + column].split("_")[0], "Pa" if column < machine.n_volumes else "K"
         raise ValueError(
             f"operating point of step {step + 1}: found a {what} of {machine.volumes[k]} of "
@@ -156,7 +157,7 @@ def _check_domain(machine: Machine, states: FloatArray) -> None:
                 if not in_range(here.pressure, here.temperature, arrays.medium):
                     raise ValueError(
                         f"operating point of step {step + 1}: found {name} at {here.pressure:g} Pa and "
-                        f"{here.temperature:g} K, expected it where the laws of the medium hold"
+                        f"{here.temperature:g} K, expected it where the laws of the medium hold: {machine.limits}"
                     )
 
 

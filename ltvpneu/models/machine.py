@@ -23,7 +23,7 @@ from ltvpneu.models.connections import (
     check_ways,
     through_valve,
 )
-from ltvpneu.models.machine_arrays import LoadConstants, MachineArrays, OpeningTable, opening_table
+from ltvpneu.models.machine_arrays import EXHAUST, SUPPLY, LoadConstants, MachineArrays, OpeningTable, opening_table
 from ltvpneu.physics.cylinder import Cylinder
 from ltvpneu.physics.gas import Gas, GasConstants, GasState
 from ltvpneu.physics.inner_volume import InnerVolume
@@ -335,17 +335,17 @@ class Machine:
         open_side = sum(row[3] for name, row in rows.items() if name not in c.chambers)
         each = [rows[name] for name in c.chambers]
         each += [(inner.volume, 0.0, inner.polytropic_exponent, 0.0) for inner in self.inner_volumes]
-        ends = [
-            (volumes.index(p.source) if p.source in volumes else -1, volumes.index(p.chamber)) for p in self.connections
-        ]
-        places, count = np.full(len(volumes), -1, dtype=np.int64), 2 + len(volumes)
-        walls = np.zeros((len(volumes), 2))
-        for k, balance in enumerate(self._balances):
-            if balance is not None:
-                places[k], count = count, count + 1
-                wall = gas.temperature if balance.wall_temperature is None else balance.wall_temperature
-                walls[k] = balance.conductance, wall
-        plain = isinstance(gas, Gas) and count == 2 + len(volumes) and all(source < 0 for source, _ in ends)
+        known = {"supply": SUPPLY, "exhaust": EXHAUST, **{name: k for k, name in enumerate(volumes)}}
+        paths = [(known[path.chamber], known[path.source]) for path in self.connections]
+        place, thermal = 2 + len(volumes), list[tuple[float, float, int]]()
+        for balance in self._balances:
+            if balance is None:
+                thermal.append((0.0, gas.temperature, -1))
+                continue
+            wall = gas.temperature if balance.wall_temperature is None else balance.wall_temperature
+            thermal.append((balance.conductance, wall, place))
+            place += 1
+        plain = isinstance(gas, Gas) and place == 2 + len(volumes) and all(source < 0 for _, source in paths)
         return MachineArrays(
             gas=self.constants,
             load=LoadConstants(
@@ -361,12 +361,8 @@ class Machine:
             ),
             supply=GasState(float(self.supply_pressure), float(self.gas.temperature)),
             exhaust=GasState(float(self.exhaust_pressure), float(self.gas.temperature)),
-            chambers=np.array(each, dtype=np.float64),
-            path_from_supply=np.array([connection.source == "supply" for connection in self.connections]),
-            path_chamber=np.array([chamber for _, chamber in ends], dtype=np.int64),
-            path_volume=np.array([source for source, _ in ends], dtype=np.int64),
-            temperature_state=places,
-            walls=walls,
+            chambers=np.column_stack([each, thermal]),
+            paths=np.array(paths, dtype=np.int64),
             medium=MediumArrays(gas.kind, 0.0 if plain else LAMINAR, self.constants, gas.table),
             plain=plain,
         )
@@ -385,6 +381,17 @@ class Machine:
             )
             return like.constants
         return Gas().constants
+
+    @property
+    def limits(self) -> str:
+        """Where the laws of the medium hold, in words."""
+        gas = self.gas
+        if isinstance(gas, Liquid):
+            return f"above the vapor pressure {gas.vapor_pressure:g} Pa"
+        if isinstance(gas, RealGas):
+            (low, high), (cold, warm) = gas.pressure_range, gas.temperature_limits
+            return f"{low:g} to {high:g} Pa and {cold:g} to {warm:g} K, the ranges of {gas.fluid}"
+        return "above zero"
 
     @property
     def has_infinite_slopes(self) -> bool:

@@ -6,10 +6,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray, read_only
+from ltvpneu._compiled import inlined
 from ltvpneu.models.connections import Connection
 from ltvpneu.physics.gas import GasConstants, GasState
 from ltvpneu.physics.medium import MediumArrays
 from ltvpneu.physics.valve import merge_angles
+
+SUPPLY, EXHAUST = -1, -2
+"""What feeds a path, where that is no volume; -1 - SUPPLY and -1 - EXHAUST are their columns among the inputs."""
+CONDUCTANCE, WALL_TEMPERATURE, TEMPERATURE_PLACE = 4, 5, 6
+"""Columns of a machine's table of volumes beyond the paper's."""
 
 
 class LoadConstants(NamedTuple):
@@ -35,21 +41,20 @@ class MachineArrays(NamedTuple):
     supply: GasState
     exhaust: GasState
     chambers: FloatArray
-    """Each volume: size at position zero [m^3], its slope over position [m^2], polytropic exponent, push area [m^2];
-    shape (n_volumes, 4)."""
-    path_from_supply: BoolArray
-    """Whether the supply feeds each path, shape (n_paths,)."""
-    path_chamber: IntArray
-    """Volume that each path leads to, shape (n_paths,)."""
-    path_volume: IntArray
-    """Volume that feeds each path, -1 where supply or exhaust does, shape (n_paths,)."""
-    temperature_state: IntArray
-    """Where in the state each volume's temperature is, -1 where it follows from the pressure, shape (n_volumes,)."""
-    walls: FloatArray
-    """Each volume: conductance to its wall [W/K], the wall's temperature [K]; shape (n_volumes, 2)."""
+    """Each volume: size at position zero [m^3], its slope over position [m^2], polytropic exponent, push area [m^2],
+    conductance to its wall [W/K], the wall's temperature [K], and where in the state its temperature is, -1 where that
+    follows from the pressure; shape (n_volumes, 7)."""
+    paths: IntArray
+    """Volume that each path leads to, and the volume that feeds it, or `SUPPLY` or `EXHAUST`; shape (n_paths, 2)."""
     medium: MediumArrays
     plain: bool
     """Whether all is as in the paper: ideal gas, no temperature a state, no path between volumes."""
+
+
+@inlined
+def temperature_place(k: int, machine: MachineArrays) -> int:
+    """Return where in the state the temperature of volume k is; -1 where it follows from the pressure."""
+    return int(machine.chambers[k, TEMPERATURE_PLACE])
 
 
 LEAST_JUMP = 1e-9

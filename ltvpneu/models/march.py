@@ -21,6 +21,7 @@ from ltvpneu._compiled import compiled
 from ltvpneu.models.dynamics import STUCK, chamber_volume
 from ltvpneu.models.events import after_event, margin_at, mode_of
 from ltvpneu.models.integrator import OK, Log, advance, new_workspace
+from ltvpneu.models.machine_arrays import temperature_place
 from ltvpneu.models.runge_kutta import Run, Workspace, copy
 from ltvpneu.models.step_models import (
     DECAY_AT_REST,
@@ -286,7 +287,7 @@ def _is_inside(state: FloatArray, plan: Plan) -> bool:
             least = vapor_pressure(machine.medium.table) / plan.scales[2 + k]
         if volume < LEAST_SHARE * machine.chambers[k, 0] or state[2 + k] < least:
             return False
-        place = machine.temperature_state[k]
+        place = temperature_place(k, machine)
         if place >= 0 and state[place] < LEAST_SHARE:
             return False
     return True
@@ -363,7 +364,7 @@ def march_period(start: FloatArray, plan: Plan, steps: Steps) -> Marched:
     n = scales.size
     z, state = np.empty(n), start
     _physical(state, scales, z)
-    space = new_workspace(z, machine.path_chamber.size)
+    space = new_workspace(z, machine.paths.shape[0])
     log = Log(np.empty((64, 4)), np.empty((64, 5, n)), 0)
     row, worst, mode = 0, 0.0, mode_of(z, machine)
     for cell in range(plan.areas.shape[0]):

@@ -285,20 +285,9 @@ def _initial_state(machine: Machine, initial_state: ArrayLike | None) -> FloatAr
         if not in_range(here.pressure, here.temperature, arrays.medium):
             raise ValueError(
                 f"initial_state: found {name} at {here.pressure:g} Pa and {here.temperature:g} K, expected it where "
-                f"the laws of the medium hold: {limits_of(machine)}"
+                f"the laws of the medium hold: {machine.limits}"
             )
     return state
-
-
-def limits_of(machine: Machine) -> str:
-    """Return in words where the laws of a machine's medium hold."""
-    gas = machine.gas
-    if isinstance(gas, Liquid):
-        return f"above the vapor pressure {gas.vapor_pressure:g} Pa"
-    if isinstance(gas, RealGas):
-        (low, high), (cold, warm) = gas.pressure_range, gas.temperature_limits
-        return f"{low:g} to {high:g} Pa and {cold:g} to {warm:g} K, the ranges of {gas.fluid}"
-    return "above zero"
 
 
 def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray) -> None:
@@ -330,7 +319,7 @@ def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray)
     if isinstance(machine.gas, RealGas) and status == LEFT_DOMAIN:
         here = gas_in_volume(0, state, arrays)
         raise GasRangeError(
-            f"the gas left the range of its properties at t = {time:.6g} s ({where}): {limits_of(machine)}. Give "
+            f"the gas left the range of its properties at t = {time:.6g} s ({where}): {machine.limits}. Give "
             "RealGas a wider pressure_range or temperature_range",
             pressure=here.pressure,
             temperature=here.temperature,

@@ -86,7 +86,8 @@ def held_inside(
         held = np.minimum(np.maximum(pressures, floor), ceiling)
         # Between sources too near each other there is no room, so the point is taken beyond both.
         pressures[:] = np.where(floor <= ceiling, held, supply * (1 + least_distance))
-        _part(machine, turn, used, least_distance)
+        if not machine.arrays.plain:
+            _part(machine, turn, used, least_distance)
     # Rounding is not holding back.
     moved = np.abs(used - asked) > 1e-9 * machine.state_scales
     if not moved.any():

@@ -5,16 +5,22 @@ import math
 import numpy as np
 
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray
-from ltvpneu._compiled import compiled
-from ltvpneu.models.dynamics import gas_at_source, gas_in_volume
-from ltvpneu.models.machine_arrays import MachineArrays
-from ltvpneu.physics.medium import path_flow
+from ltvpneu._compiled import compiled, inlined
+from ltvpneu.models.dynamics import flow_into, gas_at_source, gas_in_chamber, gas_in_volume
+from ltvpneu.models.machine_arrays import (
+    CONDUCTANCE,
+    SUPPLY,
+    WALL_TEMPERATURE,
+    MachineArrays,
+    temperature_place,
+)
+from ltvpneu.physics.flow import mass_flow
 
 MAX_SWEEPS = 500
 """Passes over volumes that feed each other; each closes in by a factor."""
 
 
-@compiled
+@inlined
 def is_open(path: int, areas: FloatArray) -> bool:
     """Whether anything can flow through a path."""
     return areas[0, path] > 0.0 and areas[1, path] > 0.0
@@ -24,9 +30,9 @@ def is_open(path: int, areas: FloatArray) -> bool:
 def source_range(k: int, areas: FloatArray, machine: MachineArrays) -> tuple[float, float]:
     """Lowest and highest of the supply and exhaust pressure that volume k is open to [Pa]; (inf, -inf) for neither."""
     low, high = math.inf, -math.inf
-    for path in range(machine.path_chamber.size):
-        if machine.path_chamber[path] == k and machine.path_volume[path] < 0 and is_open(path, areas):
-            pressure = machine.supply.pressure if machine.path_from_supply[path] else machine.exhaust.pressure
+    for path in range(machine.paths.shape[0]):
+        if machine.paths[path, 0] == k and machine.paths[path, 1] < 0 and is_open(path, areas):
+            pressure = machine.supply.pressure if machine.paths[path, 1] == SUPPLY else machine.exhaust.pressure
             low, high = min(low, pressure), max(high, pressure)
     return low, high
 
@@ -35,47 +41,57 @@ def source_range(k: int, areas: FloatArray, machine: MachineArrays) -> tuple[flo
 def only_source(k: int, areas: FloatArray, machine: MachineArrays) -> float:
     """Pressure of the one source that volume k is open to [Pa]; nan where there is none, or more to be open to."""
     low, high = source_range(k, areas, machine)
-    for path in range(machine.path_chamber.size):
-        joins = machine.path_volume[path] >= 0 and (machine.path_chamber[path] == k or machine.path_volume[path] == k)
+    for path in range(machine.paths.shape[0]):
+        joins = machine.paths[path, 1] >= 0 and (machine.paths[path, 0] == k or machine.paths[path, 1] == k)
         if joins and is_open(path, areas):
             return math.nan
     return low if low == high else math.nan
 
 
-@compiled
+@inlined
 def nearest_source(k: int, state: FloatArray, areas: FloatArray, machine: MachineArrays) -> tuple[float, int]:
     """Return the pressure nearest to that of volume k among all that it is open to [Pa], and whose it is.
 
-    A column of the state, or -1 for the supply, -2 for the exhaust; infinity where the volume is shut.
+    A column of the state, `SUPPLY` or `EXHAUST`; infinity where the volume is shut.
     """
-    nearest, column = math.inf, -1
-    for path in range(machine.path_chamber.size):
-        into, other = machine.path_chamber[path], machine.path_volume[path]
+    nearest, column = math.inf, SUPPLY
+    for path in range(machine.paths.shape[0]):
+        into, other = machine.paths[path, 0], machine.paths[path, 1]
         if not is_open(path, areas) or (into != k and other != k):
             continue
         if other >= 0:
             place = 2 + (into if other == k else other)
             pressure = float(state[place])
-        elif machine.path_from_supply[path]:
-            pressure, place = machine.supply.pressure, -1
         else:
-            pressure, place = machine.exhaust.pressure, -2
+            place = other
+            pressure = machine.supply.pressure if other == SUPPLY else machine.exhaust.pressure
         if abs(state[2 + k] - pressure) < abs(state[2 + k] - nearest):
             nearest, column = pressure, place
     return nearest, column
 
 
-@compiled
+@inlined
 def net_flow(k: int, state: FloatArray, areas: FloatArray, machine: MachineArrays) -> float:
     """Mass flow into volume k [kg/s]."""
     total = 0.0
-    for path in range(machine.path_chamber.size):
-        into, other = machine.path_chamber[path], machine.path_volume[path]
+    for path in range(machine.paths.shape[0]):
+        into, other = machine.paths[path, 0], machine.paths[path, 1]
         if (into == k or other == k) and is_open(path, areas):
-            flow = path_flow(areas[0, path], areas[1, path], gas_at_source(path, state, machine),
-                gas_in_volume(into, state, machine), machine.medium,
+            flow = flow_into(areas[0, path], areas[1, path], gas_at_source(path, state, machine),
+                gas_in_volume(into, state, machine), machine,
             )  # fmt: skip
             total += flow if into == k else -flow
+    return total
+
+
+@inlined
+def plain_flow(k: int, pressure: float, areas: FloatArray, machine: MachineArrays) -> float:
+    """Mass flow into volume k at a pressure, in the paper's case [kg/s]: `net_flow` without its detours."""
+    inside, total = gas_in_chamber(k, pressure, machine), 0.0
+    for path in range(machine.paths.shape[0]):
+        if machine.paths[path, 0] == k:
+            source = machine.supply if machine.paths[path, 1] == SUPPLY else machine.exhaust
+            total += mass_flow(areas[0, path], areas[1, path], source, inside, machine.gas)
     return total
 
 
@@ -87,11 +103,17 @@ def settle_volumes(areas: FloatArray, machine: MachineArrays, state: FloatArray)
     with no way to a source share what they hold among themselves; one that is shut keeps its pressure.
     """
     n_volumes = machine.chambers.shape[0]
+    if machine.plain:
+        # Volumes that do not feed each other have no part in each other's balance.
+        for k in range(n_volumes):
+            if source_range(k, areas, machine)[1] > 0.0:
+                _balance_volume(k, areas, machine, state)
+        return
     group, anchored = _groups(areas, machine)
     _share(group, anchored, machine, state)
     coupled = False
-    for path in range(machine.path_chamber.size):
-        coupled = coupled or (machine.path_volume[path] >= 0 and is_open(path, areas))
+    for path in range(machine.paths.shape[0]):
+        coupled = coupled or (machine.paths[path, 1] >= 0 and is_open(path, areas))
     for _ in range(MAX_SWEEPS):
         moved = 0.0
         for k in range(n_volumes):
@@ -110,14 +132,14 @@ def _groups(areas: FloatArray, machine: MachineArrays) -> tuple[IntArray, BoolAr
     n_volumes = machine.chambers.shape[0]
     group, anchored = np.arange(n_volumes), np.zeros(n_volumes, dtype=np.bool_)
     for _ in range(n_volumes):
-        for path in range(machine.path_chamber.size):
-            into, other = machine.path_chamber[path], machine.path_volume[path]
+        for path in range(machine.paths.shape[0]):
+            into, other = machine.paths[path, 0], machine.paths[path, 1]
             if other >= 0 and is_open(path, areas):
                 least = min(group[into], group[other])
                 group[into], group[other] = least, least
-    for path in range(machine.path_chamber.size):
-        if machine.path_volume[path] < 0 and is_open(path, areas):
-            anchored[group[machine.path_chamber[path]]] = True
+    for path in range(machine.paths.shape[0]):
+        if machine.paths[path, 1] < 0 and is_open(path, areas):
+            anchored[group[machine.paths[path, 0]]] = True
     return group, anchored
 
 
@@ -141,8 +163,8 @@ def _share(group: IntArray, anchored: BoolArray, machine: MachineArrays, state: 
 def _balance_volume(k: int, areas: FloatArray, machine: MachineArrays, state: FloatArray) -> None:
     """Set the pressure of volume k, all others given, to where nothing gathers in it."""
     low, high = source_range(k, areas, machine)
-    for path in range(machine.path_chamber.size):
-        into, other = machine.path_chamber[path], machine.path_volume[path]
+    for path in range(machine.paths.shape[0]):
+        into, other = machine.paths[path, 0], machine.paths[path, 1]
         if other >= 0 and is_open(path, areas) and (into == k or other == k):
             pressure = state[2 + (other if into == k else into)]
             low, high = min(low, pressure), max(high, pressure)
@@ -150,7 +172,8 @@ def _balance_volume(k: int, areas: FloatArray, machine: MachineArrays, state: Fl
     middle = 0.5 * (low + high)
     while low < middle < high:
         state[2 + k] = middle
-        if net_flow(k, state, areas, machine) > 0.0:
+        gathers = plain_flow(k, middle, areas, machine) if machine.plain else net_flow(k, state, areas, machine)
+        if gathers > 0.0:
             low = middle
         else:
             high = middle
@@ -164,17 +187,20 @@ def _settle_temperature(k: int, areas: FloatArray, machine: MachineArrays, state
 
     Where neither is there, any temperature is at rest, and that of the surroundings is taken.
     """
-    place = machine.temperature_state[k]
+    place = temperature_place(k, machine)
     if place < 0:
         return
     gas = machine.gas
     heat = gas.heat_capacity_ratio / (gas.heat_capacity_ratio - 1.0) * gas.specific_gas_constant
-    weight, sum_ = machine.walls[k, 0], machine.walls[k, 0] * machine.walls[k, 1]
-    for path in range(machine.path_chamber.size):
-        into, other = machine.path_chamber[path], machine.path_volume[path]
+    weight, sum_ = (
+        machine.chambers[k, CONDUCTANCE],
+        machine.chambers[k, CONDUCTANCE] * machine.chambers[k, WALL_TEMPERATURE],
+    )
+    for path in range(machine.paths.shape[0]):
+        into, other = machine.paths[path, 0], machine.paths[path, 1]
         if (into == k or other == k) and is_open(path, areas):
             source, inside = gas_at_source(path, state, machine), gas_in_volume(into, state, machine)
-            flow = path_flow(areas[0, path], areas[1, path], source, inside, machine.medium)
+            flow = flow_into(areas[0, path], areas[1, path], source, inside, machine)
             coming = flow if into == k else -flow
             if coming > 0.0:
                 weight += heat * coming

@@ -23,7 +23,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
 from ltvpneu.models.dynamics import STUCK, chamber_volume, state_rate
-from ltvpneu.models.machine_arrays import MachineArrays
+from ltvpneu.models.machine_arrays import MachineArrays, temperature_place
 from ltvpneu.models.quasi_static import nearest_source
 from ltvpneu.models.tangent import state_tangent
 from ltvpneu.periodic.small import solve
@@ -181,7 +181,7 @@ def volume_of_row(row: int, machine: MachineArrays) -> int:
     if row < 2 + n_volumes:
         return row - 2
     for k in range(n_volumes):
-        if machine.temperature_state[k] == row:
+        if temperature_place(k, machine) == row:
             return k
     return 0
 
@@ -211,6 +211,9 @@ def fit_visited(
     moments.fill(0.0)
     sums.fill(0.0)
     total = np.zeros(n - 2)
+    volumes = np.empty(n - 2, dtype=np.int64)
+    for k in range(2, n):
+        volumes[k - 2] = volume_of_row(k, machine)
     z, slope, c = np.empty(n), np.empty(n), np.empty(features)
     for interval in range(visited.spans.size):
         span, p = visited.spans[interval], visited.coefficients[interval]
@@ -224,7 +227,7 @@ def fit_visited(
                 i = first + q - 1
                 c[q] = (z[i] - mean[i]) / scales[i]
             for k in range(2, n):
-                of = volume_of_row(k, machine)
+                of = volumes[k - 2]
                 volume = chamber_volume(of, z[0], machine) / machine.chambers[of, 0]
                 weight = _WEIGHTS[node] * span * volume * volume
                 total[k - 2] += weight

@@ -4,10 +4,10 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.dynamics import gas_in_volume, temperature_slope
-from ltvpneu.models.machine_arrays import MachineArrays
+from ltvpneu.models.dynamics import flow_into, gas_in_volume, temperature_slope
+from ltvpneu.models.machine_arrays import EXHAUST, SUPPLY, MachineArrays, temperature_place
 from ltvpneu.physics.gas import GasState
-from ltvpneu.physics.medium import path_flow, path_flow_slopes
+from ltvpneu.physics.medium import path_flow_slopes
 
 
 @compiled
@@ -17,12 +17,12 @@ def source_flow(states: FloatArray, areas: FloatArray, from_supply: bool, machin
     Shapes: states (n_states, n), areas (n_states, 2, n_paths).
     """
     found = np.zeros(states.shape[0])
-    source = machine.supply if from_supply else machine.exhaust
+    source, wanted = (machine.supply, SUPPLY) if from_supply else (machine.exhaust, EXHAUST)
     for i in range(states.shape[0]):
-        for path in range(machine.path_chamber.size):
-            if machine.path_volume[path] < 0 and machine.path_from_supply[path] == from_supply:
-                inside = gas_in_volume(machine.path_chamber[path], states[i], machine)
-                found[i] += path_flow(areas[i, 0, path], areas[i, 1, path], source, inside, machine.medium)
+        for path in range(machine.paths.shape[0]):
+            if machine.paths[path, 1] == wanted:
+                inside = gas_in_volume(machine.paths[path, 0], states[i], machine)
+                found[i] += flow_into(areas[i, 0, path], areas[i, 1, path], source, inside, machine)
     return found
 
 
@@ -38,17 +38,17 @@ def supply_flow_tangents(
     by_state, by_input, offset = np.zeros((n_steps, n)), np.zeros((n_steps, 3)), np.zeros(n_steps)
     source = machine.supply
     for i in range(n_steps):
-        for path in range(machine.path_chamber.size):
+        for path in range(machine.paths.shape[0]):
             first, second = areas[i, 0, path], areas[i, 1, path]
-            if not machine.path_from_supply[path] or first == 0.0 or second == 0.0:
+            if machine.paths[path, 1] != SUPPLY or first == 0.0 or second == 0.0:
                 continue
-            k = machine.path_chamber[path]
+            k = machine.paths[path, 0]
             inside = gas_in_volume(k, points[i], machine)
             least = distance * source.pressure
             if abs(inside.pressure - source.pressure) < least:
                 pressure = source.pressure + (least if inside.pressure > source.pressure else -least)
                 away = GasState(pressure, inside.temperature)
-                through = path_flow(first, second, source, away, machine.medium)
+                through = flow_into(first, second, source, away, machine)
                 slope = through / (pressure - source.pressure)
                 by_state[i, 2 + k] += slope
                 by_input[i, 0] -= slope
@@ -60,7 +60,7 @@ def supply_flow_tangents(
             by_input[i, 0] += by_source
             offset[i] += through - by_chamber * inside.pressure - by_source * source.pressure
             if through < 0.0:
-                place = machine.temperature_state[k]
+                place = temperature_place(k, machine)
                 if place < 0:
                     place = 2 + k
                     by_temperature *= temperature_slope(k, inside, machine)

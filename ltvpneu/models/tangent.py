@@ -9,17 +9,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.dynamics import (
     balanced,
     chamber_volume,
     density_along,
     enthalpy_of,
     gas_at_source,
+    gas_in_chamber,
     gas_in_volume,
     temperature_slope,
 )
-from ltvpneu.models.machine_arrays import MachineArrays
+from ltvpneu.models.machine_arrays import CONDUCTANCE, SUPPLY, WALL_TEMPERATURE, MachineArrays, temperature_place
+from ltvpneu.physics.flow import mass_flow, mass_flow_slopes
 from ltvpneu.physics.medium import path_flow_slopes, properties
 
 
@@ -48,17 +50,67 @@ def state_tangent(
     A[1, 1] = -load.viscous_damping / load.mass
     B[1, 1] = load.open_push_area / load.mass
     B[1, 2] = 1.0 / load.mass
+    for k in range(n_volumes):
+        A[1, 2 + k] = machine.chambers[k, 3] / load.mass
+    if machine.plain:
+        for k in range(n_volumes):
+            _plain_row(k, state, areas, full, machine, A, B)
+    else:
+        _volume_rows(state, areas, full, machine, A, B)
+
+
+@compiled
+def _volume_rows(
+    state: FloatArray, areas: FloatArray, full: bool, machine: MachineArrays, A: FloatArray, B: FloatArray
+) -> None:
+    """Write the rows of all pressures and temperatures, of any medium and process."""
+    n_volumes = machine.chambers.shape[0]
     sums = _Sums(np.zeros((n_volumes, 2)), A, B)
-    for path in range(machine.path_chamber.size):
+    for path in range(machine.paths.shape[0]):
         if areas[0, path] != 0.0 and areas[1, path] != 0.0:
             _add_path(path, state, areas, machine, sums)
     velocity = state[1] if full else 0.0
     for k in range(n_volumes):
-        A[1, 2 + k] = machine.chambers[k, 3] / load.mass
-        if machine.temperature_state[k] < 0:
+        if temperature_place(k, machine) < 0:
             _pressure_row(k, state, velocity, full, machine, sums)
         else:
             _energy_rows(k, state, velocity, full, machine, sums)
+
+
+@inlined
+def _plain_row(  # noqa: PLR0913 - compiled into its one caller
+    k: int, state: FloatArray, areas: FloatArray, full: bool, machine: MachineArrays, A: FloatArray, B: FloatArray
+) -> None:
+    """Write the row of a pressure in the paper's case, as `state_rate` has it, without the general one's detours."""
+    inside = gas_in_chamber(k, state[2 + k], machine)
+    exponent, slope = machine.chambers[k, 2], machine.chambers[k, 1]
+    flow, by_chamber = 0.0, 0.0
+    for path in range(machine.paths.shape[0]):
+        first, second = areas[0, path], areas[1, path]
+        if machine.paths[path, 0] != k or first == 0.0 or second == 0.0:
+            continue
+        from_supply = machine.paths[path, 1] == SUPPLY
+        source = machine.supply if from_supply else machine.exhaust
+        slopes = mass_flow_slopes(first, second, source, inside, machine.gas)
+        through = mass_flow(first, second, source, inside, machine.gas)
+        flow += through
+        B[2 + k, 0 if from_supply else 1] += slopes[0]
+        by_chamber += slopes[1]
+        if through < 0.0:
+            # An outflow carries the chamber's temperature, M_f ~ T^(-1/2), and T follows the pressure by (4).
+            by_chamber -= 0.5 * through * (exponent - 1.0) / (exponent * inside.pressure)
+    volume = chamber_volume(k, state[0], machine)
+    factor = exponent / volume
+    supplied = machine.gas.specific_gas_constant * inside.temperature
+    by_temperature = (exponent - 1.0) / (exponent * inside.pressure) * flow
+    A[2 + k, 1] = -factor * inside.pressure * slope
+    A[2 + k, 2 + k] = factor * supplied * (by_chamber + by_temperature)
+    B[2 + k, 0] *= factor * supplied
+    B[2 + k, 1] *= factor * supplied
+    if full:
+        swept = inside.pressure * slope * state[1]
+        A[2 + k, 2 + k] -= factor * slope * state[1]
+        A[2 + k, 0] = -factor * (supplied * flow - swept) * slope / volume
 
 
 class _Sums(NamedTuple):
@@ -75,7 +127,7 @@ class _Slopes(NamedTuple):
     """Flow through a path as a function of the two pressures and the temperature of the side that it comes from."""
 
     source: int
-    """Column of the source's pressure in A, or -1 (supply), -2 (exhaust) for B."""
+    """Column of the source's pressure in A, or `SUPPLY` or `EXHAUST` for one in B."""
     chamber: int
     upstream: int
     """Column of the pressure of the side that it comes from, likewise."""
@@ -97,17 +149,17 @@ def _add(column: int, value: float, row_A: FloatArray, row_B: FloatArray) -> Non
 
 @compiled
 def _slopes(path: int, state: FloatArray, areas: FloatArray, machine: MachineArrays) -> _Slopes:
-    k, other = machine.path_chamber[path], machine.path_volume[path]
+    k, other = machine.paths[path, 0], machine.paths[path, 1]
     source, inside = gas_at_source(path, state, machine), gas_in_volume(k, state, machine)
     flow, by_source, by_chamber, by_temperature = path_flow_slopes(
         areas[0, path], areas[1, path], source, inside, machine.medium
     )
-    column = 2 + other if other >= 0 else (-1 if machine.path_from_supply[path] else -2)
+    column = 2 + other if other >= 0 else other
     volume = k if flow < 0.0 else other
     upstream = 2 + k if flow < 0.0 else column
     temperature = -3
     if volume >= 0:
-        temperature = int(machine.temperature_state[volume])
+        temperature = temperature_place(volume, machine)
         if temperature < 0:
             temperature = 2 + volume
             by_temperature *= temperature_slope(volume, inside if flow < 0.0 else source, machine)
@@ -118,7 +170,7 @@ def _slopes(path: int, state: FloatArray, areas: FloatArray, machine: MachineArr
 def _add_path(path: int, state: FloatArray, areas: FloatArray, machine: MachineArrays, sums: _Sums) -> None:
     """Add a path's flows to the volumes at its ends, and their derivatives to the rows of these."""
     totals, A, B = sums.totals, sums.A, sums.B
-    k, other = machine.path_chamber[path], machine.path_volume[path]
+    k, other = machine.paths[path, 0], machine.paths[path, 1]
     found = _slopes(path, state, areas, machine)
     for end in range(2):
         volume, sign = (k, 1.0) if end == 0 else (other, -1.0)
@@ -126,7 +178,7 @@ def _add_path(path: int, state: FloatArray, areas: FloatArray, machine: MachineA
             continue
         totals[volume, 0] += sign * found.flow
         _add_flow(sign, found, A[2 + volume], B[2 + volume])
-        row = machine.temperature_state[volume]
+        row = temperature_place(volume, machine)
         if row >= 0:
             upstream = gas_in_volume(k, state, machine) if found.flow < 0.0 else gas_at_source(path, state, machine)
             h, h_p, h_T = enthalpy_of(upstream, machine)
@@ -136,7 +188,7 @@ def _add_path(path: int, state: FloatArray, areas: FloatArray, machine: MachineA
             feeding = k if found.flow < 0.0 else other
             if feeding >= 0:
                 slope = 1.0
-                if machine.temperature_state[feeding] < 0:
+                if temperature_place(feeding, machine) < 0:
                     slope = temperature_slope(feeding, upstream, machine)
                 A[row, found.temperature] += sign * found.flow * h_T * slope
 
@@ -174,13 +226,13 @@ def _energy_rows(k: int, state: FloatArray, velocity: float, full: bool, machine
     Of M(y) y' = b(y) the derivative is M^-1 (b_y - M_y y').
     """
     A, B = sums.A, sums.B
-    p, row, place = 2 + k, 2 + k, machine.temperature_state[k]
+    p, row, place = 2 + k, 2 + k, temperature_place(k, machine)
     volume, slope, here = chamber_volume(k, state[0], machine), machine.chambers[k, 1], gas_in_volume(k, state, machine)
     found = properties(here.pressure, here.temperature, machine.medium)
-    conductance, swept = machine.walls[k, 0], slope * velocity
+    conductance, swept = machine.chambers[k, CONDUCTANCE], slope * velocity
     rho, u = found.rho, found.u
     mass, energy = sums.totals[k, 0], sums.totals[k, 1]
-    energy += conductance * (machine.walls[k, 1] - here.temperature)
+    energy += conductance * (machine.chambers[k, WALL_TEMPERATURE] - here.temperature)
     rates = balanced(found, volume, mass - rho * swept, energy - here.pressure * swept - u * mass)
     for j in range(state.size):
         A[row, j], A[place, j] = balanced(found, volume, A[row, j], A[place, j] - u * A[row, j])
