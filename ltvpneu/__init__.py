@@ -21,6 +21,7 @@ from ltvpneu.errors import (
 from ltvpneu.face.machine_file import load_machine
 from ltvpneu.face.plots import plot
 from ltvpneu.models.amplitude import AmplitudeResponse, amplitude_response
+from ltvpneu.models.balance import Balance, balance
 from ltvpneu.models.connections import FlowPath
 from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.linearize import Linearization, LtvModel, linearize
@@ -64,6 +65,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AmplitudeResponse",
+    "Balance",
     "CavitationError",
     "ChamberVolumeError",
     "Command",
@@ -120,6 +122,7 @@ __all__ = [
     "Window",
     "amplitude_response",
     "averaged",
+    "balance",
     "feedback",
     "floquet",
     "frequency_response",

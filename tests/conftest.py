@@ -52,3 +52,29 @@ def variants() -> dict[str, lp.Machine]:
 
 
 MACHINES = variants()
+
+
+def extensions() -> dict[str, lp.Machine]:
+    """Return machines beyond the paper's: energy balances, the valve's inner volume, real gas, liquid, leakage."""
+    one, two = lp.load_machine("kunt_singh_1990"), lp.load_machine("double_acting_5_2")
+    walls = lp.EnergyBalance(heat_transfer_coefficient=60.0, wall_area=0.01, wall_temperature=300.0)
+    dynamic, air = one.with_collapse("dynamic"), lp.RealGas(fluid="Air")
+    leak = lp.FlowPath(source="chamber_1", chamber="chamber_2", area=0.2e-6)
+    return {
+        "adiabatic": one.with_thermal("adiabatic"),
+        "walls": two.with_thermal(walls),
+        "dynamic": dynamic,
+        "dynamic, adiabatic": dynamic.with_thermal("adiabatic"),
+        "dynamic, polytropic": dynamic.with_thermal(1.3),
+        "dynamic, offset": dynamic.with_offset(math.radians(-60)),
+        "leakage": replace(two, flow_paths=(*two.flow_paths, leak)),
+        "real": one.with_gas(air),
+        "real, adiabatic": one.with_gas(air).with_thermal("adiabatic"),
+        "real, dynamic, polytropic": dynamic.with_gas(air).with_thermal(1.2),
+        "real, in series": replace(one.with_gas(air), collapse="in_series"),
+        "hydraulic": lp.load_machine("hydraulic_4_2"),
+        "hydraulic, in series": replace(one.with_gas(lp.Liquid()), collapse="in_series"),
+    }
+
+
+EXTENSIONS = extensions()

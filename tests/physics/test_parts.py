@@ -55,8 +55,8 @@ def test_dry_friction_above_stiction_holds_too():
         (lambda: Cylinder(piston_area_1=0.0, piston_area_2=1e-3, dead_volume_1=1e-6), "piston_area_1: found 0"),
         (lambda: Cylinder(piston_area_1=1e-3, piston_area_2=1e-3, dead_volume_1=None), "found neither"),
         (
-            lambda: Cylinder(piston_area_1=1e-3, piston_area_2=1e-3, dead_volume_1=1e-6, polytropic_exponent_1=0.5),
-            "polytropic_exponent_1: found 0.5",
+            lambda: Cylinder(piston_area_1=1e-3, piston_area_2=1e-3, dead_volume_1=1e-6, polytropic_exponent_1=-0.5),
+            "polytropic_exponent_1: found -0.5",
         ),
         (
             lambda: Cylinder(piston_area_1=1e-3, piston_area_2=1e-3, dead_volume_1=1e-6, lower_stop=1.0, upper_stop=0.0),
