@@ -44,6 +44,7 @@ from ltvpneu.periodic.lyapunov import lyapunov, lyapunov_factors
 from ltvpneu.periodic.norms import h2_norm, hankel_norm
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.product import ProductMultipliers, product_multipliers
+from ltvpneu.periodic.ramps import ramped
 from ltvpneu.periodic.response import response
 from ltvpneu.periodic.riccati import Estimator, Regulator, kalman, lqr
 from ltvpneu.periodic.sensitivity import Gradient, Sensitivity, sensitivity
@@ -149,6 +150,7 @@ __all__ = [
     "parameter_sensitivity",
     "plot",
     "product_multipliers",
+    "ramped",
     "response",
     "sensitivity",
     "series",

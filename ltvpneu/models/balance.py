@@ -106,7 +106,7 @@ def balance(machine: Machine, orbit: Orbit, *, rtol: float = 1e-12) -> Balance:
         )
     schedule = schedule_of(machine, orbit.system_period)
     settings = integration_settings(machine, positive("rtol", rtol))
-    # Without the floor that orbits keep under pressures near a source's: the mass that it leaves uncounted is looked for.
+    # Without the floor that orbits keep under pressures near a source's: what it leaves uncounted is looked for here.
     run = Run(schedule, machine.arrays, settings._replace(atol=0.1 * rtol * machine.state_scales))
     state = np.array(orbit.initial_state)
     before, total = _stored(state, machine), np.zeros((machine.n_volumes, 6))

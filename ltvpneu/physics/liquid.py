@@ -68,7 +68,7 @@ class Liquid:
     Examples
     --------
     >>> print(f"{Liquid().effective_bulk_modulus(100e5) / 1e9:.2f} GPa")
-    1.46 GPa
+    1.47 GPa
     """
 
     density: float = 860.0

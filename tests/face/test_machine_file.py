@@ -131,7 +131,7 @@ def test_a_file_is_read_by_its_path(tmp_path):
         ("dead_volume_1", "dead_volum_1", r"rig.toml: cylinder.dead_volum_1: unknown key, did you mean 'dead_volume_1'\?"),
         ('mass = "1.75 kg"', "", r"rig.toml: load.mass: missing, expected a quantity: mass"),
         ('"50 %"', '"150 %"', r"rig.toml: valve.duty: found 1.5, expected on-time over period, 0 to 1"),
-        ('"on_off"', '"spool"', r'rig.toml: valve.type: found \'spool\', expected "rotary" or "on_off"'),
+        ('"on_off"', '"spool"', r'rig.toml: valve.type: found \'spool\', expected "rotary", "on_off" or "proportional"'),
         ('"6.4 mm^2"', '"-6.4 mm^2"', r"rig.toml: flow_paths\[0\].area: found -6.4e-06 m\^2"),
         ('chamber = "chamber_1"', 'chamber = "chamber_2"', r"rig.toml: flow_paths: found a path to 'chamber_2'"),
         ('opening = "on"', 'opening = "onn"', r"rig.toml: flow_paths\[0\].opening: found 'onn'"),
@@ -224,3 +224,99 @@ def test_what_a_user_turns_is_checked(table_1, double_acting):
         double_acting.with_offset(0.1)
     assert table_1.with_duty(0.3).with_offset(0.0).duty == pytest.approx(0.5)
     assert not table_1.without_dry_friction().has_dry_friction
+
+
+EXTENDED = """
+name = "rig"
+supply_pressure = "6 bar"
+exhaust_pressure = "1 bar"
+collapse = "dynamic"
+{medium}
+[cylinder]
+piston_area_1 = "5 cm^2"
+piston_area_2 = "5 cm^2"
+dead_volume_1 = "20 cm^3"
+{cylinder}
+[load]
+mass = "1 kg"
+spring_stiffness = "2 kN/m"
+[valve]
+type = "rotary"
+[[valve.inner_volumes]]
+volume = "4 cm^3"
+{inner}
+[[valve.ports]]
+way = "supply"
+area = "10 mm^2"
+discharge_coefficient = 0.8
+opens_at = "0 deg"
+open_for = "180 deg"
+[[valve.ports]]
+way = "chamber_1"
+area = "10 mm^2"
+discharge_coefficient = 0.8
+opens_at = "0 deg"
+open_for = "180 deg"
+[[flow_paths]]
+source = "exhaust"
+chamber = "chamber_1"
+area = "4 mm^2"
+"""
+WALL = 'heat_transfer_coefficient = "60 W/(m^2 K)"\nwall_area = "50 cm^2"\nwall_temperature = "25 degC"'
+
+
+def test_a_file_holds_thermal_models_and_inner_volumes():
+    text = EXTENDED.format(medium="", cylinder=f"[cylinder.energy_balance_1]\n{WALL}", inner="energy_balance = {}")
+    machine = parse_machine(text, "rig.toml")
+    assert machine.states == (
+        "position", "velocity", "pressure_1", "pressure_valve", "temperature_1", "temperature_valve"
+    )  # fmt: skip
+    balance = machine.cylinder.energy_balance_1
+    assert balance is not None
+    assert balance.conductance == pytest.approx(0.3)
+    assert balance.wall_temperature == pytest.approx(298.15)
+
+
+def test_a_file_holds_other_media():
+    real = '[gas]\nfluid = "Nitrogen"\npressure_range = ["0.5 bar", "12 bar"]'
+    machine = parse_machine(EXTENDED.format(medium=real, cylinder="", inner=""), "rig.toml")
+    assert isinstance(machine.gas, lp.RealGas)
+    assert machine.gas.pressure_range == (0.5e5, 12e5)
+    oil = '[liquid]\ndensity = "0.87 kg/l"\nbulk_modulus = "1.5 GPa"\nviscosity = "30 mPa s"'
+    machine = parse_machine(EXTENDED.format(medium=oil, cylinder="", inner=""), "rig.toml")
+    assert machine.gas == lp.Liquid(density=870.0, bulk_modulus=1.5e9, viscosity=0.03)
+
+
+def test_a_file_holds_a_proportional_valve():
+    text = EXTENDED.format(medium="", cylinder="", inner="")
+    text = text[: text.index("[valve]")].replace('collapse = "dynamic"', "") + (
+        '[valve]\ntype = "proportional"\ncommand = [["0 deg", -1], ["90 deg", 0.5]]\n'
+        '[[flow_paths]]\nsource = "supply"\nchamber = "chamber_1"\narea = "4 mm^2"\nopening = "on"\n'
+        '[[flow_paths]]\nsource = "exhaust"\nchamber = "chamber_1"\narea = "4 mm^2"\nopening = "off"\n'
+    )
+    machine = parse_machine(text, "rig.toml")
+    assert isinstance(machine.valve, lp.ProportionalValve)
+    assert machine.valve.command.openings == (-1.0, 0.5)
+    with pytest.raises(lp.MachineFileError, match=r"rig.toml: valve.command\[1\]: found \['90 deg'\], expected two"):
+        parse_machine(text.replace('["90 deg", 0.5]', '["90 deg"]'), "rig.toml")
+    with pytest.raises(lp.MachineFileError, match=r"valve.command.openings\[0\]: found -2"):
+        parse_machine(text.replace("-1]", "-2]"), "rig.toml")
+
+
+@pytest.mark.parametrize(
+    ("parts", "match"),
+    [
+        ({"medium": '[gas]\n[liquid]\ndensity = "860 kg/m^3"'}, "gas, liquid: found both tables"),
+        ({"medium": '[gas]\nfluid = "Airr"'}, "rig.toml: gas.fluid: found 'Airr'.*nearest: Air"),
+        ({"medium": '[gas]\nfluid = "Air"\npressure_range = ["1 bar"]'}, r"gas.pressure_range: found \['1 bar'\]"),
+        (
+            {"cylinder": '[cylinder.energy_balance_1]\nheat_transfer_coefficient = "60 W/(m^2 K)"'},
+            "rig.toml: cylinder.energy_balance_1.wall_area, wall_temperature: found none",
+        ),
+        ({"inner": 'size = "1 cm^3"'}, r"valve.inner_volumes\[0\].size: unknown key"),
+        ({"medium": '[liquid]\nbulk_modulus = "-1 GPa"'}, "rig.toml: liquid.bulk_modulus: found -1e.09 Pa"),
+    ],
+)
+def test_bad_extensions_in_a_file_are_named(parts, match):
+    with pytest.raises(lp.MachineFileError, match=match):
+        parse_machine(EXTENDED.format(**{"medium": "", "cylinder": "", "inner": "", **parts}), "rig.toml")
