@@ -250,6 +250,12 @@ def operating_box(
     >>> box.shape
     (4, 3, 3)
     """
+    if len(machine.states) != 2 + len(machine.cylinder.chambers) or (machine.arrays.paths[:, 1] >= 0).any():
+        raise ValueError(
+            f"machine: found states {', '.join(machine.states)}, or flow between its volumes; expected a box over position "
+            "and one pressure a chamber that no other volume feeds. Of other machines, certify the steps of a model: "
+            "common_lyapunov(ltv_model(...))"
+        )
     n_chambers = len(machine.cylinder.chambers)
     if pressures is None:
         pressures = [(1.02 * machine.exhaust_pressure, 0.98 * machine.supply_pressure)] * n_chambers

@@ -361,7 +361,7 @@ class Machine:
             ),
             supply=GasState(float(self.supply_pressure), float(self.gas.temperature)),
             exhaust=GasState(float(self.exhaust_pressure), float(self.gas.temperature)),
-            chambers=np.column_stack([each, thermal]),
+            chambers=np.column_stack([np.array(each, dtype=np.float64), np.array(thermal, dtype=np.float64)]),
             paths=np.array(paths, dtype=np.int64),
             medium=MediumArrays(gas.kind, 0.0 if plain else LAMINAR, self.constants, gas.table),
             plain=plain,

@@ -166,7 +166,7 @@ def _balance_volume(k: int, areas: FloatArray, machine: MachineArrays, state: Fl
     for path in range(machine.paths.shape[0]):
         into, other = machine.paths[path, 0], machine.paths[path, 1]
         if other >= 0 and is_open(path, areas) and (into == k or other == k):
-            pressure = state[2 + (other if into == k else into)]
+            pressure = float(state[2 + (other if into == k else into)])
             low, high = min(low, pressure), max(high, pressure)
     # Bisection to the last bit: the slope is infinite where pressures meet, and some 50 halvings are cheap.
     middle = 0.5 * (low + high)

@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray, whole
+from ltvpneu._arrays import FloatArray, IntArray, whole
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 Order = Literal[2, 4]
@@ -98,7 +98,7 @@ def ramped(starts: PeriodicSystem, ends: PeriodicSystem, *, parts: int = 8, orde
 
 
 def _matrices(
-    starts: PeriodicSystem, ends: PeriodicSystem, means: dict[str, FloatArray], step: FloatArray
+    starts: PeriodicSystem, ends: PeriodicSystem, means: dict[str, FloatArray], step: IntArray
 ) -> tuple[tuple[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]:
     """Return A, B and r in the middles of the parts, and their changes over the steps that the parts belong to."""
     rises = tuple(getattr(ends, field)[step] - getattr(starts, field)[step] for field in ("A", "B", "r"))
