@@ -1,7 +1,7 @@
 """What does each extension cost, and does the paper's case pay for them?
 
-Table 1 at 4 Hz: nonlinear orbits, as ratios to the isothermal ideal-gas chamber. That case runs on short cuts through the
-general equations; run through the latter instead, it shows what the short cuts spare.
+Table 1 at 4 Hz: nonlinear orbits, as ratios to the isothermal ideal-gas chamber. That case runs on short cuts through
+the general equations; run through the latter instead, it shows what the short cuts spare.
 """
 
 import numpy as np
