@@ -253,8 +253,8 @@ def operating_box(
     if len(machine.states) != 2 + len(machine.cylinder.chambers) or (machine.arrays.paths[:, 1] >= 0).any():
         raise ValueError(
             f"machine: found states {', '.join(machine.states)}, or flow between its volumes; expected a box over "
-            "position and one pressure a chamber that no other volume feeds. Of other machines, certify the steps of a model: "
-            "common_lyapunov(ltv_model(...))"
+            "position and one pressure a chamber that no other volume feeds. Of other machines, certify the steps of a "
+            "model: common_lyapunov(ltv_model(...))"
         )
     n_chambers = len(machine.cylinder.chambers)
     if pressures is None:
