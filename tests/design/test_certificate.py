@@ -152,3 +152,11 @@ def test_bad_sets_and_boxes_are_named():
         design.operating_box(machine, position=(0.02, 0.08), pressures=[(1e5, 2e5)] * 2)
     with pytest.raises(ValueError, match="pressure of an open source"):
         design.operating_box(machine, position=(0.02, 0.08), pressures=[(1e5, 4.1e5)])
+
+
+def test_a_box_is_refused_where_it_would_not_bound_what_the_machine_does(table_1):
+    from ltvpneu import design
+
+    for machine in (table_1.with_thermal("adiabatic"), table_1.with_collapse("dynamic")):
+        with pytest.raises(ValueError, match="expected a box over position and one pressure a chamber"):
+            design.operating_box(machine, position=(0.02, 0.06))
