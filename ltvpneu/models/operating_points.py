@@ -19,6 +19,10 @@ LEAST_DISTANCE = 0.02
 """Default relative distance kept from the pressure of a source that a chamber is open to [-]."""
 
 
+LEAST_TEMPERATURE, MOST_TEMPERATURE = 0.5, 2.0
+"""Range that temperatures of operating points are held in, over that of the surroundings [-]."""
+
+
 class Turn(NamedTuple):
     """What the linear models know of a turn of the valve before they know its speed."""
 
@@ -71,11 +75,14 @@ def held_inside(
     """Return the operating points (n_steps, n) kept inside their range, and a list of those that were moved.
 
     Position and pressures stay within the range of the quasi-static ones; pressures at least `least_distance`,
-    relative, away from those of the sources that the chamber is open to.
+    relative, away from those of the sources that the chamber is open to. Temperatures stay within half to twice that of
+    the surroundings.
     """
     low, high = turn.quasi_static.min(axis=0), turn.quasi_static.max(axis=0)
-    # The velocity has no quasi-static range.
+    # The velocity has no quasi-static range; a temperature has one, the surroundings', which it leaves at any speed.
     low[1], high[1] = -np.inf, np.inf
+    low[2 + machine.n_volumes :] = LEAST_TEMPERATURE * machine.gas.temperature
+    high[2 + machine.n_volumes :] = MOST_TEMPERATURE * machine.gas.temperature
     used = np.minimum(np.maximum(asked, low), high)
     supply, exhaust = machine.supply_pressure, machine.exhaust_pressure
     sources = source_ranges(turn.stairs.areas, machine.arrays)

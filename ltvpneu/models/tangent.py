@@ -23,6 +23,7 @@ from ltvpneu.models.dynamics import (
 from ltvpneu.models.machine_arrays import CONDUCTANCE, SUPPLY, WALL_TEMPERATURE, MachineArrays, temperature_place
 from ltvpneu.physics.flow import mass_flow, mass_flow_slopes
 from ltvpneu.physics.medium import path_flow_slopes, properties
+from ltvpneu.physics.properties import LIQUID
 
 
 @compiled
@@ -37,7 +38,7 @@ def state_tangent(
         As for `state_rate`; dry friction, constant on either side of rest, has no part in the tangent.
     full : bool
         Whether to take all derivatives. If not, the paper's choice (8b): in the rows of pressures and temperatures,
-        none over the position, and the others as at rest.
+        none over the position, and the others as at rest, a liquid's bulk modulus held.
     A : ndarray, shape (n, n)
     B : ndarray, shape (n, 3)
         Over supply pressure, exhaust pressure and external force.
@@ -213,7 +214,11 @@ def _pressure_row(k: int, state: FloatArray, velocity: float, full: bool, machin
     for j in range(3):
         B[2 + k, j] *= factor
     rate = (mass - along.density * slope * velocity) * factor
-    A[2 + k, 2 + k] -= slope * velocity / volume + rate * along.second / along.by_pressure
+    A[2 + k, 2 + k] -= slope * velocity / volume
+    # At rest, with nothing swept, the rate is the whole flow's: times the change of a liquid's bulk modulus it would make
+    # a feedback that the machine does not have. The paper's choice is a constant bulk modulus there.
+    if full or machine.medium.kind != LIQUID:
+        A[2 + k, 2 + k] -= rate * along.second / along.by_pressure
     A[2 + k, 1] -= along.density * slope * factor
     if full:
         A[2 + k, 0] -= rate * slope / volume

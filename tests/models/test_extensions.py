@@ -360,6 +360,25 @@ def test_the_paper_is_right_that_linear_models_do_better_in_hydraulics(table_1):
         assert size["Hydraulic 4/2", kind] < 0.3 * size["Kunt & Singh 1990", kind]
 
 
+@pytest.mark.parametrize("duty", [0.3, 0.4, 0.5, 0.6])
+def test_the_papers_model_of_a_hydraulic_drive_is_stable_and_near_at_every_duty(duty):
+    """The change of the bulk modulus, times the rate at rest, would make it unstable below half."""
+    machine = lp.load_machine("hydraulic_4_2").without_dry_friction().with_duty(duty)
+    model = lp.ltv_model(machine, 5.0)
+    assert lp.floquet(model.system).spectral_radius < 0.5
+    exact = lp.nonlinear_orbit(machine, 5.0).amplitude("position")
+    assert model.orbit.amplitude("position") == pytest.approx(exact, rel=0.025)
+
+
+def test_temperatures_of_operating_points_are_those_of_the_cycle():
+    """An adiabatic chamber is warm while it fills and cold while it empties; quasi-static, it would be neither."""
+    model = lp.ltv_model(EXTENSIONS["adiabatic"], 10.0)
+    filling, emptying = model.operating_points[:, 3]
+    assert filling > 310
+    assert emptying < 250
+    assert "temperature_1" not in {held.state for held in model.held_back}
+
+
 def test_a_liquid_that_would_cavitate_stops_with_its_name():
     machine = lp.load_machine("hydraulic_4_2")
     # Without entrained gas, which would give way.
