@@ -132,6 +132,10 @@ def check_ways(valve: RotaryValve, collapse: Collapse, chambers: tuple[str, ...]
     if collapse == "in_series":
         _check_two_ways_at_once(valve)
     if collapse == "dynamic":
+        for name in valve.volumes:
+            # A number would read as a chamber's in the names of states.
+            if name in (*known, *CHAMBERS, "1", "2"):
+                raise ValueError(f"valve.ports: found an inner volume named {name!r}, expected a name of its own")
         sizes = {inner.name for inner in valve.inner_volumes}
         missing = [name for name in valve.volumes if name not in sizes]
         if missing:

@@ -317,7 +317,8 @@ def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray)
                 state=state,
             )
     if isinstance(machine.gas, RealGas) and status == LEFT_DOMAIN:
-        here = gas_in_volume(0, state, arrays)
+        insides = [gas_in_volume(k, state, arrays) for k in range(machine.n_volumes)]
+        here = min(insides, key=machine.gas.room)
         raise GasRangeError(
             f"the gas left the range of its properties at t = {time:.6g} s ({where}): {machine.limits}. Give "
             "RealGas a wider pressure_range or temperature_range",

@@ -215,8 +215,8 @@ def _pressure_row(k: int, state: FloatArray, velocity: float, full: bool, machin
         B[2 + k, j] *= factor
     rate = (mass - along.density * slope * velocity) * factor
     A[2 + k, 2 + k] -= slope * velocity / volume
-    # At rest, with nothing swept, the rate is the whole flow's: times the change of a liquid's bulk modulus it would make
-    # a feedback that the machine does not have. The paper's choice is a constant bulk modulus there.
+    # At rest, with nothing swept, the rate is the whole flow's: times the change of a liquid's bulk modulus it would
+    # make a feedback that the machine does not have. The paper's choice is a constant bulk modulus there.
     if full or machine.medium.kind != LIQUID:
         A[2 + k, 2 + k] -= rate * along.second / along.by_pressure
     A[2 + k, 1] -= along.density * slope * factor

@@ -37,6 +37,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, finite, positive
 from ltvpneu.errors import GasRangeError
 from ltvpneu.physics.equation_of_state import EquationOfState, Range, limits, ratios
+from ltvpneu.physics.gas import GasState
 from ltvpneu.physics.gas_table import R_GAS, gas_table, real_critical_ratio, real_flux, real_properties
 from ltvpneu.physics.properties import REAL
 
@@ -117,6 +118,11 @@ class RealGas:
                 pressure=pressure,
                 temperature=self.temperature,
             )
+
+    def room(self, here: GasState) -> float:
+        """Return how far a state is inside the ranges, relative to their nearest end [-]; below zero outside."""
+        pairs = ((here.pressure, self.pressure_range), (here.temperature, self.temperature_limits))
+        return min(min(value / low - 1, 1 - value / high) for value, (low, high) in pairs)
 
     @property
     def temperature_limits(self) -> Range:
