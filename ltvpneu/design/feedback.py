@@ -17,16 +17,10 @@ from ltvpneu.design.duty_map import DutyMap
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.models.integrator import OK, integrate_period
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.nonlinear import (
-    DormandPrince,
-    integration_settings,
-    nonlinear_orbit,
-    raise_stopped,
-    schedule_of,
-    trajectory_of,
-)
+from ltvpneu.models.nonlinear import DormandPrince, integration_settings, nonlinear_orbit, schedule_of, trajectory_of
 from ltvpneu.models.parameters import TOLERANCE, nonlinear_jacobians
 from ltvpneu.models.runge_kutta import Run
+from ltvpneu.models.stopped import raise_stopped
 from ltvpneu.periodic import bridge
 
 if TYPE_CHECKING:

@@ -22,8 +22,9 @@ from ltvpneu.models.dynamics import chamber_volume, enthalpy_of, flow_into, gas_
 from ltvpneu.models.integrator import OK, Record, integrate_period
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.machine_arrays import CONDUCTANCE, WALL_TEMPERATURE, MachineArrays
-from ltvpneu.models.nonlinear import integration_settings, raise_stopped, schedule_of
+from ltvpneu.models.nonlinear import integration_settings, schedule_of
 from ltvpneu.models.runge_kutta import Run, Schedule
+from ltvpneu.models.stopped import raise_stopped
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.physics.medium import properties
 

@@ -157,7 +157,7 @@ def _check_domain(machine: Machine, states: FloatArray) -> None:
                 if not in_range(here.pressure, here.temperature, arrays.medium):
                     raise ValueError(
                         f"operating point of step {step + 1}: found {name} at {here.pressure:g} Pa and "
-                        f"{here.temperature:g} K, expected it where the laws of the medium hold: {machine.limits}"
+                        f"{here.temperature:g} K, expected it where the laws of the medium hold: {machine.gas.limits}"
                     )
 
 

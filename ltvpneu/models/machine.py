@@ -25,7 +25,7 @@ from ltvpneu.models.connections import (
 )
 from ltvpneu.models.machine_arrays import EXHAUST, SUPPLY, LoadConstants, MachineArrays, OpeningTable, opening_table
 from ltvpneu.physics.cylinder import Cylinder
-from ltvpneu.physics.gas import Gas, GasConstants, GasState
+from ltvpneu.physics.gas import Gas, GasState
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
@@ -347,7 +347,7 @@ class Machine:
             place += 1
         plain = isinstance(gas, Gas) and place == 2 + len(volumes) and all(source < 0 for _, source in paths)
         return MachineArrays(
-            gas=self.constants,
+            gas=gas.constants,
             load=LoadConstants(
                 mass=float(load.mass),
                 spring_stiffness=float(load.spring_stiffness),
@@ -363,35 +363,9 @@ class Machine:
             exhaust=GasState(float(self.exhaust_pressure), float(self.gas.temperature)),
             chambers=np.column_stack([np.array(each, dtype=np.float64), np.array(thermal, dtype=np.float64)]),
             paths=np.array(paths, dtype=np.int64),
-            medium=MediumArrays(gas.kind, 0.0 if plain else LAMINAR, self.constants, gas.table),
+            medium=MediumArrays(gas.kind, 0.0 if plain else LAMINAR, gas.constants, gas.table),
             plain=plain,
         )
-
-    @property
-    def constants(self) -> GasConstants:
-        """Constants of the ideal gas, or of one like a real gas; of no meaning for a liquid."""
-        gas = self.gas
-        if isinstance(gas, Gas):
-            return gas.constants
-        if isinstance(gas, RealGas):
-            like = Gas(
-                heat_capacity_ratio=gas.heat_capacity_ratio,
-                specific_gas_constant=gas.specific_gas_constant,
-                temperature=gas.temperature,
-            )
-            return like.constants
-        return Gas().constants
-
-    @property
-    def limits(self) -> str:
-        """Where the laws of the medium hold, in words."""
-        gas = self.gas
-        if isinstance(gas, Liquid):
-            return f"above the vapor pressure {gas.vapor_pressure:g} Pa"
-        if isinstance(gas, RealGas):
-            (low, high), (cold, warm) = gas.pressure_range, gas.temperature_limits
-            return f"{low:g} to {high:g} Pa and {cold:g} to {warm:g} K, the ranges of {gas.fluid}"
-        return "above zero"
 
     @property
     def has_infinite_slopes(self) -> bool:

@@ -23,11 +23,12 @@ from ltvpneu.models.machine import Machine
 from ltvpneu.models.machine_arrays import OpeningTable
 from ltvpneu.models.march import NOT_CONVERGED, Marched, Plan, Steps, march_period
 from ltvpneu.models.mesh import cut_schedule, cuts_by_error, even_cuts
-from ltvpneu.models.nonlinear import integration_settings, raise_stopped, rests_in_a_band, step_label
+from ltvpneu.models.nonlinear import integration_settings, rests_in_a_band, step_label
 from ltvpneu.models.quasi_static import nearest_source
 from ltvpneu.models.repeat import Repeated, repeat_march
 from ltvpneu.models.runge_kutta import Run
 from ltvpneu.models.staircase import staircase
+from ltvpneu.models.stopped import raise_stopped
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
 

@@ -29,13 +29,13 @@ from ltvpneu.models.nonlinear import (
     integration_settings,
     joined,
     nonlinear_orbit,
-    raise_stopped,
     schedule_of,
     trajectory_of,
 )
 from ltvpneu.models.own_cycle import MAX_PERIODS, Found, new_steps, retabled, trajectory_of_steps
 from ltvpneu.models.repeat import repeat_march
 from ltvpneu.models.runge_kutta import Run
+from ltvpneu.models.stopped import raise_stopped
 from ltvpneu.periodic.orbit import Orbit, Trajectory, signal_index
 from ltvpneu.physics.proportional import Command
 from ltvpneu.physics.valve import Pulses

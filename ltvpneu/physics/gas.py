@@ -86,6 +86,11 @@ class Gas:
         return IDEAL
 
     @property
+    def limits(self) -> str:
+        """Where the laws hold, in words."""
+        return "above zero"
+
+    @property
     def table(self) -> FloatArray:
         """Empty: all that an ideal gas needs are its constants."""
         return NO_TABLE

@@ -30,6 +30,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, not_negative, positive, read_only
 from ltvpneu._compiled import compiled
+from ltvpneu.physics.gas import Gas, GasConstants
 from ltvpneu.physics.properties import LIQUID, Properties
 
 ATMOSPHERE = 101325.0
@@ -110,6 +111,16 @@ class Liquid:
     def kind(self) -> int:
         """Which laws the compiled kernels take."""
         return LIQUID
+
+    @property
+    def limits(self) -> str:
+        """Where the laws hold, in words."""
+        return f"above the vapor pressure {self.vapor_pressure:g} Pa"
+
+    @property
+    def constants(self) -> GasConstants:
+        """Constants of air, which kernels pass on and no law of a liquid reads."""
+        return Gas().constants
 
     @cached_property
     def table(self) -> FloatArray:

@@ -37,7 +37,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, finite, positive
 from ltvpneu.errors import GasRangeError
 from ltvpneu.physics.equation_of_state import EquationOfState, Range, limits, ratios
-from ltvpneu.physics.gas import GasState
+from ltvpneu.physics.gas import Gas, GasConstants, GasState
 from ltvpneu.physics.gas_table import R_GAS, gas_table, real_critical_ratio, real_flux, real_properties
 from ltvpneu.physics.properties import REAL
 
@@ -107,6 +107,22 @@ class RealGas:
     def kind(self) -> int:
         """Which laws the compiled kernels take."""
         return REAL
+
+    @property
+    def limits(self) -> str:
+        """Where the laws hold, in words."""
+        (low, high), (cold, warm) = self.pressure_range, self.temperature_limits
+        return f"{low:g} to {high:g} Pa and {cold:g} to {warm:g} K, the ranges of {self.fluid}"
+
+    @property
+    def constants(self) -> GasConstants:
+        """Constants of the ideal gas that is like it at 1.01325 bar."""
+        like = Gas(
+            heat_capacity_ratio=self.heat_capacity_ratio,
+            specific_gas_constant=self.specific_gas_constant,
+            temperature=self.temperature,
+        )
+        return like.constants
 
     def expect_inside(self, name: str, pressure: float) -> None:
         """Raise `GasRangeError` unless a pressure [Pa] lies in the table's range; `name` is whose it is."""
