@@ -164,10 +164,16 @@ def _held_back_text(study: Study) -> list[str]:
             ]
     if lines:
         distance = next(model.least_distance for case in study.cases for model in case.models.values())
-        lines += [
-            "  (Operating points are kept within what the machine reaches with the valve at rest, and at least",
-            f"  {100 * distance:g} % away from the pressure of an open source, where the flow's slope is infinite.)",
-        ]
+        reach = "  (Operating points are kept within what the machine reaches with the valve at rest"
+        lines += (
+            [
+                f"{reach}, and at least",
+                f"  {100 * distance:g} % away from the pressure of an open source, where the "
+                "flow's slope is infinite.)",
+            ]
+            if study.machine.has_infinite_slopes
+            else [f"{reach}.)"]
+        )
     return lines
 
 
