@@ -98,7 +98,8 @@ def draw_stability_map(found: StabilityMap) -> Figure:
     axes.set_xlabel("valve frequency [Hz]")
     axes.set_ylabel("duty [-]")
     axes.set_title(f"{found.machine.name}: stability and ripple", fontsize=11)
-    axes.legend(handles=handles, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12))
+    if handles:
+        axes.legend(handles=handles, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12))
     return figure
 
 
