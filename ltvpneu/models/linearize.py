@@ -118,10 +118,9 @@ def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tan
             "where the slope of the flow is infinite; expected pressures apart from the sources'"
         )
     levels = machine.levels
-    # Of an ideal gas at constant temperature the flow is homogeneous in the pressures: no remainder.
-    isothermal = bool((arrays.chambers[:, 2] == 1.0).all() and (arrays.chambers[:, TEMPERATURE_PLACE] < 0).all())
+    # Homogeneous in the pressures, the flow of an ideal gas of constant temperature leaves no remainder.
     r = np.zeros(states.shape)
-    if full or not isothermal or arrays.medium.kind != IDEAL:
+    if full or not machine.is_isothermal:
         for step, state in enumerate(states):
             point = state.copy()
             if not full:

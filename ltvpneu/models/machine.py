@@ -367,10 +367,16 @@ class Machine:
             plain=plain,
         )
 
-    @property
+    @cached_property
     def has_infinite_slopes(self) -> bool:
         """Whether a flow's slope is infinite where pressures meet; a liquid's is not, being laminar there."""
         return not isinstance(self.gas, Liquid)
+
+    @cached_property
+    def is_isothermal(self) -> bool:
+        """Whether all is an ideal gas of constant temperature: its pressures' rates are homogeneous, and superpose."""
+        constant = len(self.states) == 2 + self.n_volumes and bool((self.arrays.chambers[:, 2] == 1.0).all())
+        return constant and isinstance(self.gas, Gas)
 
     @cached_property
     def state_scales(self) -> FloatArray:

@@ -81,15 +81,16 @@ def held_inside(
     low, high = turn.quasi_static.min(axis=0), turn.quasi_static.max(axis=0)
     # The velocity has no quasi-static range; a temperature has one, the surroundings', which it leaves at any speed.
     low[1], high[1] = -np.inf, np.inf
-    low[2 + machine.n_volumes :] = LEAST_TEMPERATURE * machine.gas.temperature
-    high[2 + machine.n_volumes :] = MOST_TEMPERATURE * machine.gas.temperature
+    temperatures = slice(2 + machine.n_volumes, None)
+    low[temperatures] = LEAST_TEMPERATURE * machine.gas.temperature
+    high[temperatures] = MOST_TEMPERATURE * machine.gas.temperature
     used = np.minimum(np.maximum(asked, low), high)
-    supply, exhaust = machine.supply_pressure, machine.exhaust_pressure
-    sources = source_ranges(turn.stairs.areas, machine.arrays)
-    floor = np.where(sources[:, :, 0] == exhaust, exhaust * (1 + least_distance), -np.inf)
-    ceiling = np.where(sources[:, :, 1] == supply, supply * (1 - least_distance), np.inf)
-    pressures = used[:, 2 : 2 + machine.n_volumes]
     if machine.has_infinite_slopes:
+        supply, exhaust = machine.supply_pressure, machine.exhaust_pressure
+        sources = source_ranges(turn.stairs.areas, machine.arrays)
+        floor = np.where(sources[:, :, 0] == exhaust, exhaust * (1 + least_distance), -np.inf)
+        ceiling = np.where(sources[:, :, 1] == supply, supply * (1 - least_distance), np.inf)
+        pressures = used[:, 2 : temperatures.start]
         held = np.minimum(np.maximum(pressures, floor), ceiling)
         # Between sources too near each other there is no room, so the point is taken beyond both.
         pressures[:] = np.where(floor <= ceiling, held, supply * (1 + least_distance))
