@@ -240,7 +240,10 @@ def operating_box(
     Raises
     ------
     ValueError
-        Limits out of order, outside the cylinder, or a pressure not above zero.
+        Limits out of order, outside the cylinder, or a pressure not above zero. Or a machine with temperatures among
+        its states, or volumes that feed each other: there the entries of different rows change together (the same mass
+        leaves one and enters the other), and taken one by one their extremes make unstable matrices that the machine
+        never has.
 
     Examples
     --------
@@ -253,8 +256,9 @@ def operating_box(
     if len(machine.states) != 2 + len(machine.cylinder.chambers) or (machine.arrays.paths[:, 1] >= 0).any():
         raise ValueError(
             f"machine: found states {', '.join(machine.states)}, or flow between its volumes; expected a box over "
-            "position and one pressure a chamber that no other volume feeds. Of other machines, certify the steps of a "
-            "model: common_lyapunov(ltv_model(...))"
+            "position and one pressure a chamber that no other volume feeds, since other entries change together. "
+            "Certify the linearizations at chosen states instead: common_lyapunov([linearize(machine, state, "
+            "angle=angle).A, ...]), or the steps of a model: common_lyapunov(ltv_model(...))"
         )
     n_chambers = len(machine.cylinder.chambers)
     if pressures is None:
