@@ -57,10 +57,12 @@ from ltvpneu.physics.gas import Gas
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
+from ltvpneu.physics.profile import Profile
 from ltvpneu.physics.proportional import Command, ProportionalValve
 from ltvpneu.physics.real_gas import RealGas
 from ltvpneu.physics.thermal import EnergyBalance
-from ltvpneu.physics.valve import OnOffValve, Port, Profile, RotaryValve, Window
+from ltvpneu.physics.valve import OnOffValve, Port, RotaryValve
+from ltvpneu.physics.window import Window
 
 __version__ = "0.1.0"
 

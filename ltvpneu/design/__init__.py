@@ -4,7 +4,8 @@ from ltvpneu.design.air_use import air_use, with_air_use
 from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box
 from ltvpneu.design.duty_cycle import Goals, optimize_duty
 from ltvpneu.design.duty_map import DutyMap, duty_map
-from ltvpneu.design.duty_problem import DutyProblem, DutySolution, LinearizedCycle, duty_problem
+from ltvpneu.design.duty_problem import DutyProblem, duty_problem
+from ltvpneu.design.duty_solution import DutySolution
 from ltvpneu.design.feedback import (
     ClosedLoop,
     Measurement,
@@ -13,6 +14,7 @@ from ltvpneu.design.feedback import (
     simulate_closed_loop,
 )
 from ltvpneu.design.forcing import ForcingProblem, ForcingSolution, forcing_problem
+from ltvpneu.design.linearized_cycle import LinearizedCycle
 from ltvpneu.design.pattern import PatternSolution, optimize_pattern
 from ltvpneu.design.stability_map import Box, StabilityMap, stability_map
 from ltvpneu.design.valve_limits import ValveLimits

@@ -10,16 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import finite, finite_array
-from ltvpneu.design.duty_problem import (
-    NOMINAL,
-    Bounds,
-    DutyProblem,
-    DutySolution,
-    LinearizedCycle,
-    ModelKind,
-    Scenario,
-    duty_problem,
-)
+from ltvpneu.design.duty_problem import NOMINAL, DutyProblem, ModelKind, Scenario, duty_problem
+from ltvpneu.design.duty_solution import DutySolution
+from ltvpneu.design.duty_variables import Bounds
+from ltvpneu.design.linearized_cycle import LinearizedCycle
 from ltvpneu.design.starts import Progress
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError

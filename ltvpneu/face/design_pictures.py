@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from ltvpneu._arrays import BoolArray, FloatArray
 from ltvpneu.design.duty_map import DutyMap
-from ltvpneu.design.duty_problem import DutySolution
+from ltvpneu.design.duty_solution import DutySolution
 from ltvpneu.design.feedback import ClosedLoop
 from ltvpneu.design.pattern import PatternSolution
 from ltvpneu.design.stability_map import StabilityMap

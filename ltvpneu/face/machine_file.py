@@ -20,7 +20,8 @@ from ltvpneu.physics.medium import Medium
 from ltvpneu.physics.proportional import Command, ProportionalValve
 from ltvpneu.physics.real_gas import RealGas
 from ltvpneu.physics.thermal import EnergyBalance
-from ltvpneu.physics.valve import OnOffValve, Port, Pulses, RotaryValve, Window, check_pulses
+from ltvpneu.physics.valve import OnOffValve, Port, RotaryValve
+from ltvpneu.physics.window import Pulses, Window, check_pulses
 
 Kind = Dimension | type
 T = TypeVar("T")

@@ -10,8 +10,10 @@ from typing import Literal, final
 import numpy as np
 
 from ltvpneu._arrays import finite, not_negative
+from ltvpneu.physics.profile import Profile, merge_angles
 from ltvpneu.physics.proportional import Command
-from ltvpneu.physics.valve import Phase, Profile, Pulses, RotaryValve, Window, check_phase, merge_angles
+from ltvpneu.physics.valve import Phase, RotaryValve, check_phase
+from ltvpneu.physics.window import Pulses, Window
 
 Collapse = Literal["minimum", "in_series", "dynamic"]
 COLLAPSES: tuple[Collapse, ...] = ("minimum", "in_series", "dynamic")

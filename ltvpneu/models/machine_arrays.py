@@ -10,7 +10,7 @@ from ltvpneu._compiled import inlined
 from ltvpneu.models.connections import Connection
 from ltvpneu.physics.gas import GasConstants, GasState
 from ltvpneu.physics.medium import MediumArrays
-from ltvpneu.physics.valve import merge_angles
+from ltvpneu.physics.profile import merge_angles
 
 SUPPLY, EXHAUST = -1, -2
 """What feeds a path, where that is no volume; -1 - SUPPLY and -1 - EXHAUST are their columns among the inputs."""

@@ -38,7 +38,7 @@ from ltvpneu.models.runge_kutta import Run
 from ltvpneu.models.stopped import raise_stopped
 from ltvpneu.periodic.orbit import Orbit, Trajectory, signal_index
 from ltvpneu.physics.proportional import Command
-from ltvpneu.physics.valve import Pulses
+from ltvpneu.physics.window import Pulses
 
 PARAMETERS = ("duty", "frequency", "supply_pressure", "exhaust_pressure")
 """What derivatives are taken over by default."""

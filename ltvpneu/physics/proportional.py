@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import finite
-from ltvpneu.physics.valve import TURN, Profile
+from ltvpneu.physics.profile import TURN, Profile
 
 
 @final

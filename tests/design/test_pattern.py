@@ -7,7 +7,9 @@ import pytest
 
 import ltvpneu as lp
 from ltvpneu import design
-from ltvpneu.design import pattern as patterns
+from ltvpneu.design import slots
+from ltvpneu.design.pattern_problem import turned_first
+from ltvpneu.models.linearize import linearize_steps
 
 
 @pytest.fixture(scope="module")
@@ -17,15 +19,15 @@ def machine():
 
 def by_brute_force(machine, frequency, n_slots, measure, allowed):
     """Best of all patterns on the model of the first operating points, orbits by `steady_state`."""
-    areas = patterns._two_positions(machine)
-    point = patterns._first_points(machine, frequency)
-    linearization = patterns._linearization(machine, point, areas)
+    areas = slots.two_positions(machine)
+    point = slots.first_points(machine, frequency)
+    linearization = linearize_steps(machine, point, areas, "paper")
     best = np.inf
     for slots in itertools.product((False, True), repeat=n_slots):
         pattern = np.array(slots)
-        if not np.array_equal(pattern, patterns.turned_first(pattern)):
+        if not np.array_equal(pattern, turned_first(pattern)):
             continue
-        orbit = lp.steady_state(patterns._system(machine, linearization, pattern, frequency))
+        orbit = lp.steady_state(slots.pattern_system(machine, linearization, pattern, frequency))
         if allowed(orbit, pattern):
             best = min(best, measure(orbit, pattern))
     return best
@@ -65,7 +67,7 @@ def test_ten_slots_equal_brute_force(machine, goals, measure, allowed):
 
 def test_air_use_is_that_of_the_linear_flow(machine):
     found = design.optimize_pattern(machine, 4.0, 8, mean={"position": (0.04, 0.06)}, minimize="air_use", refit=False)
-    areas, point = patterns._two_positions(machine), patterns._first_points(machine, 4.0)
+    areas, point = slots.two_positions(machine), slots.first_points(machine, 4.0)
     from ltvpneu.models.supply_flow import supply_flow_tangents
     from ltvpneu.periodic.exponential import ExponentialTrajectory
 

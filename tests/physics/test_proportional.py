@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ltvpneu as lp
-from ltvpneu.physics.valve import TURN
+from ltvpneu.physics.profile import TURN
 
 points = st.lists(
     st.tuples(st.floats(0, TURN * (1 - 1e-6)), st.floats(-1, 1)),
