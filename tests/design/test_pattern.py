@@ -7,8 +7,8 @@ import pytest
 
 import ltvpneu as lp
 from ltvpneu import design
-from ltvpneu.design import slots
 from ltvpneu.design.pattern_problem import turned_first
+from ltvpneu.design.slots import first_points, pattern_system, two_positions
 from ltvpneu.models.linearize import linearize_steps
 
 
@@ -19,15 +19,15 @@ def machine():
 
 def by_brute_force(machine, frequency, n_slots, measure, allowed):
     """Best of all patterns on the model of the first operating points, orbits by `steady_state`."""
-    areas = slots.two_positions(machine)
-    point = slots.first_points(machine, frequency)
+    areas = two_positions(machine)
+    point = first_points(machine, frequency)
     linearization = linearize_steps(machine, point, areas, "paper")
     best = np.inf
     for slots in itertools.product((False, True), repeat=n_slots):
         pattern = np.array(slots)
         if not np.array_equal(pattern, turned_first(pattern)):
             continue
-        orbit = lp.steady_state(slots.pattern_system(machine, linearization, pattern, frequency))
+        orbit = lp.steady_state(pattern_system(machine, linearization, pattern, frequency))
         if allowed(orbit, pattern):
             best = min(best, measure(orbit, pattern))
     return best
@@ -67,7 +67,7 @@ def test_ten_slots_equal_brute_force(machine, goals, measure, allowed):
 
 def test_air_use_is_that_of_the_linear_flow(machine):
     found = design.optimize_pattern(machine, 4.0, 8, mean={"position": (0.04, 0.06)}, minimize="air_use", refit=False)
-    areas, point = slots.two_positions(machine), slots.first_points(machine, 4.0)
+    areas, point = two_positions(machine), first_points(machine, 4.0)
     from ltvpneu.models.supply_flow import supply_flow_tangents
     from ltvpneu.periodic.exponential import ExponentialTrajectory
 
