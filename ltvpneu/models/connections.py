@@ -105,8 +105,8 @@ def through_valve(valve: RotaryValve, collapse: Collapse, chambers: tuple[str, .
                 found.append(Connection(source=source, chamber=chamber, first=area))
                 continue
             for volume in valve.volumes:
-                first, second = valve.way_area(source, volume), valve.way_area(chamber, volume)
-                if first.minimum(second).ends.any() or first.minimum(second).starts.any():
+                if valve.joins(source, volume) and valve.joins(chamber, volume):
+                    first, second = valve.way_area(source, volume), valve.way_area(chamber, volume)
                     found.append(Connection(source=source, chamber=chamber, first=first, second=second))
     return found
 
@@ -115,9 +115,10 @@ def _through_inner_volumes(valve: RotaryValve) -> list[Connection]:
     found: list[Connection] = []
     for volume in valve.volumes:
         for way in valve.ways:
-            area = valve.way_area(way, volume)
-            if not (area.starts.any() or area.ends.any()):
+            # Whatever the duty: paths that come and go with it would be another machine.
+            if not valve.joins(way, volume):
                 continue
+            area = valve.way_area(way, volume)
             if way in SOURCES:
                 found.append(Connection(source=way, chamber=volume, first=area))
             else:

@@ -75,7 +75,7 @@ class Profile:
     def refined(self, angles: FloatArray) -> "Profile":
         """Return the same function with further piece ends at `angles` [rad]."""
         merged = merge_angles(self.angles, angles)
-        if merged.size == self.angles.size:
+        if np.array_equal(merged, self.angles):
             return self
         middles = (merged[:-1] + merged[1:]) / 2
         piece = np.clip(np.searchsorted(self.angles, middles) - 1, 0, self.starts.size - 1)

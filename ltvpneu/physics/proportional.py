@@ -7,8 +7,8 @@ from typing import final
 
 import numpy as np
 
-from ltvpneu._arrays import finite
-from ltvpneu.physics.profile import TURN, Profile
+from ltvpneu._arrays import FloatArray, finite
+from ltvpneu.physics.profile import SAME_ANGLE, TURN, Profile
 
 
 @final
@@ -19,7 +19,8 @@ class Command:
     Parameters
     ----------
     angles : tuple of float
-        Of the points [rad], rising, from 0 to below 2 pi; two equal angles in turn make a jump. After the last the
+        Of the points [rad], rising, from 0 to below 2 pi; two equal angles in turn (to 1e-9 of the turn) make a
+        jump. After the last the
         command goes on, linearly, to the first of the next turn.
     openings : tuple of float
         Positions at the points [-]. Above zero they open the "on" paths of the valve, below zero the "off" paths: a
@@ -67,13 +68,17 @@ class Command:
     @cached_property
     def profile(self) -> Profile:
         """Opening of the "on" paths over the turn, 0 (shut) to 1 (fully open)."""
-        angles, values = np.array(self.angles), np.array(self.openings)
-        first, last = self._at_the_turn()
-        angles = np.concatenate([[0.0], angles, [TURN]])
-        values = np.concatenate([[first], values, [last]])
-        starts, ends = values[:-1], values[1:]
-        kept = np.diff(angles) > 0
-        left, right, begin, end = angles[:-1][kept], angles[1:][kept], starts[kept], ends[kept]
+        angles, values = self._apart(), np.array(self.openings)
+        # Round the turn: from its last point in the turn before to its first in the next.
+        angles = np.concatenate([angles[-1:] - TURN, angles, angles[:1] + TURN])
+        values = np.concatenate([values[-1:], values, values[:1]])
+        left, right = np.maximum(angles[:-1], 0.0), np.minimum(angles[1:], TURN)
+        kept = right > left
+        left, right = left[kept], right[kept]
+        width, first, rise = np.diff(angles)[kept], values[:-1][kept], np.diff(values)[kept]
+        # Between points; rounding might go beyond them.
+        begin = np.clip(first + rise * (left - angles[:-1][kept]) / width, -1.0, 1.0)
+        end = np.clip(first + rise * (right - angles[:-1][kept]) / width, -1.0, 1.0)
         # Cut where the spool passes its middle: there the paths of one side shut.
         crossing = begin * end < 0
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -83,14 +88,15 @@ class Command:
             angles=whole.angles, starts=np.maximum(whole.starts - 1.0, 0.0), ends=np.maximum(whole.ends - 1.0, 0.0)
         )
 
-    def _at_the_turn(self) -> tuple[float, float]:
-        """Return the command just after and just before the turn begins anew."""
-        gap = TURN - self.angles[-1] + self.angles[0]
-        share = (TURN - self.angles[-1]) / gap
-        between = self.openings[-1] + share * (self.openings[0] - self.openings[-1])
-        if self.angles[0] == 0.0:
-            return self.openings[0], self.openings[0]
-        return between, between
+    def _apart(self) -> FloatArray:
+        """Return the angles, those too near to the one before or to the turn's ends put there; (n_points,)."""
+        angles = np.array(self.angles)
+        angles[angles < SAME_ANGLE] = 0.0
+        angles[angles > TURN - SAME_ANGLE] = TURN
+        for i in range(1, angles.size):
+            if angles[i] - angles[i - 1] < SAME_ANGLE:
+                angles[i] = angles[i - 1]
+        return angles
 
 
 @final

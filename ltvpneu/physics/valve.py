@@ -139,6 +139,10 @@ class RotaryValve:
         """Names of the inner volumes, in order of appearance."""
         return tuple(dict.fromkeys(port.volume for port in self.ports))
 
+    def joins(self, way: str, volume: str) -> bool:
+        """Return whether a way has a port into an inner volume."""
+        return any((port.way, port.volume) == (way, volume) for port in self.ports)
+
     def window(self, port: Port) -> Window | Pulses:
         """Return the arcs over which a port is open, at the present offset, duty or pulses."""
         if port.phase == "always":

@@ -30,6 +30,18 @@ def test_the_openings_are_the_two_signs_of_the_interpolated_command(points, angl
     assert one.complement.profile.at(angle) == pytest.approx(max(-expected, 0.0), abs=1e-6)
 
 
+@pytest.mark.parametrize("apart", [0.0, 4.5e-16, 1e-12, 5e-9, 7e-9, 1e-3])
+@pytest.mark.parametrize("first", [0.0, 1e-16, 1e-10, 1e-8, 0.5])
+@pytest.mark.parametrize("last", [4.0, TURN - 1e-8, TURN - 1e-10, math.nextafter(TURN, 0)])
+def test_points_almost_together_make_a_jump_and_nothing_else(apart, first, last):
+    one = lp.Command(angles=(first, 2.0, 2.0 + apart, last), openings=(0.2, 1.0, -1.0, 0.6))
+    for angle in np.linspace(0.01, TURN - 0.01, 500):
+        if not 1.999 < angle < 2.003:
+            expected = np.interp(angle, one.angles, one.openings, period=TURN)
+            assert one.profile.at(angle) == pytest.approx(max(expected, 0.0), abs=1e-7)
+            assert one.complement.profile.at(angle) == pytest.approx(max(-expected, 0.0), abs=1e-7)
+
+
 def test_two_equal_angles_make_a_jump():
     step = lp.Command(angles=(0.0, 2.0, 2.0), openings=(1.0, 1.0, -1.0))
     assert step.profile.at(1.999) == 1.0
