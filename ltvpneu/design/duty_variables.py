@@ -1,8 +1,10 @@
 """Variables of a design of switching: which there are, their bounds, and how short pulses and pauses may get."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
+from itertools import pairwise
 from typing import Any, cast
 
 import cvxpy as cp
@@ -12,6 +14,7 @@ from ltvpneu._arrays import finite
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.parameters import is_angle, present_value, pulse_edge, pulse_edges, with_values
+from ltvpneu.physics.proportional import Command
 
 Bounds = tuple[float, float]
 LEAST_WIDTH = 2e-3
@@ -21,6 +24,11 @@ LEAST_WIDTH = 2e-3
 def default_variables(machine: Machine) -> dict[str, Bounds]:
     """Return the duty as the variable or, of several pulses, all edges but the first, with their bounds."""
     edges = pulse_edges(machine)
+    if not edges:
+        raise ValueError(
+            "variables: found none, and a proportional valve with neither duty nor pulses; expected points of its "
+            "command, as 'valve.command.openings.0', or other numbers of the machine"
+        )
     if len(edges) == 2:
         return {"duty": (0.02, 0.98)}
     first = float(edges[0])
@@ -37,6 +45,11 @@ def expect_one_way_to_switch(machine: Machine, bounds: Mapping[str, Bounds]) -> 
             f"variables: found {' and '.join(map(repr, ways))}, which set the same switching; expected one of them"
         )
     n_pulses = len(pulse_edges(machine)) // 2
+    if ways and n_pulses == 0:
+        raise ValueError(
+            f"variables: found {ways[0]!r} of a proportional valve, expected points of its command, as "
+            "'valve.command.openings.0'"
+        )
     if "duty" in bounds and n_pulses > 1:
         raise ValueError(f"variables: found 'duty' of a valve with {n_pulses} pulses, expected their edges, as 'off_1'")
 
@@ -63,7 +76,11 @@ def check_bounds(machine: Machine, frequency: float, name: str, pair: Bounds) ->
         raise ValueError(f"variables: found {name!r}, which is no number of the machine ({error}){hint}") from None
     if name == "duty" and not (low >= 0 and high <= 1):
         raise ValueError(f"variables: found bounds {low:g} to {high:g} of 'duty', expected 0 to 1")
-    if not is_angle(name) and name != "frequency":
+    if re.fullmatch(r"valve\.command\.angles\.[0-9]+", name):
+        # The points' order is a constraint: others may move too.
+        if not (low >= 0 and high < 2 * math.pi):
+            raise ValueError(f"variables: found bounds {low:g} to {high:g} rad of {name!r}, expected 0 to below 2 pi")
+    elif not is_angle(name) and name != "frequency":
         for value in (low, high):
             try:
                 with_values(machine, {name: value})
@@ -103,8 +120,10 @@ def pulse_limits(
     if "offset_angle" in variables:
         # On while both windows are open: for half a turn less the offset, whichever way.
         edges = [cp.Constant(0.0), math.pi - cp.abs(variables["offset_angle"])]
-    found: dict[str, cp.Constraint] = {}
-    for i, (before, after) in enumerate(zip(edges, [*edges[1:], edges[0] + 2 * math.pi], strict=True)):
+    found = _command_in_order(machine, variables)
+    for i, (before, after) in enumerate(
+        zip(edges, [*edges[1:], *(edge + 2 * math.pi for edge in edges[:1])], strict=True)
+    ):
         if i % 2 and "offset_angle" in variables:
             # The pause is half a turn at least.
             break
@@ -120,3 +139,19 @@ def pulse_limits(
                 "than the valve can be told to; expected it longer, or among the variables"
             )
     return found
+
+
+def _command_in_order(machine: Machine, variables: Mapping[str, cp.Expression]) -> dict[str, cp.Constraint]:
+    """Return constraints that the points of a proportional valve's command keep their order."""
+    command = machine.valve.on_window()
+    if not isinstance(command, Command):
+        return {}
+    names = [f"valve.command.angles.{i}" for i in range(len(command.angles))]
+    angles: list[Any] = [
+        variables.get(name, cp.Constant(angle)) for name, angle in zip(names, command.angles, strict=True)
+    ]
+    return {
+        f"order of {before} and {after}": last - first >= 2 * math.pi * LEAST_WIDTH
+        for (before, first), (after, last) in pairwise(zip(names, angles, strict=True))
+        if before in variables or after in variables
+    }

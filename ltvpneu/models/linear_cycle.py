@@ -25,7 +25,7 @@ from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.march import Plan, Steps, march_period
 from ltvpneu.models.own_cycle import Found, Question, as_model, new_steps, trajectory_of_steps
-from ltvpneu.models.parameters import STATE_STEP, STEP, TOLERANCE, is_angle
+from ltvpneu.models.parameters import STATE_STEP, STEP, TOLERANCE, around, is_angle
 from ltvpneu.models.repeat import Repeated
 from ltvpneu.models.turn import Cells, Probes, Turn, march_cells
 from ltvpneu.periodic.exponential import ExponentialTrajectory
@@ -42,7 +42,8 @@ class LinearCycle:
     plan: Plan
     repeated: Repeated
     settings: dict[str, float]
-    machine_at: Callable[[Mapping[str, float]], Machine]
+    changed_at: Callable[[Mapping[str, float]], tuple[Machine, FloatArray]]
+    """The machine at another setting, and its cells."""
 
     @property
     def initial_state(self) -> FloatArray:
@@ -264,18 +265,18 @@ class _Differences:
         return self._between(up, down, 2 * width)
 
     def _by_parameter(self, name: str) -> tuple[FloatArray, FloatArray]:
-        """Return slopes over what is no instant of switching, likewise."""
-        question, value = self.cycle.question, self.cycle.settings[name]
-        step = STEP * (abs(value) or 1.0)
+        """Return slopes over what is no instant of switching, the cells' durations kept, likewise."""
+        question = self.cycle.question
+        high, low = around(name, self.cycle.settings[name])
         turns: list[Turn] = []
-        for moved in (value + step, value - step):
-            changed = replace(question, machine=self.cycle.machine_at({**self.cycle.settings, name: moved}))
-            plan = changed.plan(self.cycle.cells, TOLERANCE)
+        for moved in (high, low):
+            machine, cells = self.cycle.changed_at({**self.cycle.settings, name: moved})
+            plan = replace(question, machine=machine).plan(cells, TOLERANCE)
             # In the present scales, which may follow the parameter.
             run = plan.run._replace(settings=self.cycle.plan.run.settings)
             plan = plan._replace(run=run, scales=self.cycle.plan.scales)
             turns.append(self._march(plan, self.base.starts, self.durations, False))
-        return self._between(turns[0], turns[1], 2 * step)
+        return self._between(turns[0], turns[1], high - low)
 
 
 def _row(figure: Figure, probe: int | None, n: int) -> tuple[int | None, int]:

@@ -12,7 +12,7 @@ from ltvpneu.models.linear_cycle import LinearCycle
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.operating_points import LEAST_DISTANCE
 from ltvpneu.models.own_cycle import OwnCycle, Question, new_steps
-from ltvpneu.models.parameters import STEP, TOLERANCE, is_angle, with_values
+from ltvpneu.models.parameters import STEP, TOLERANCE, around, is_angle, with_values
 from ltvpneu.models.repeat import Repeated, repeat_march
 
 MOST_PERIODS = 300
@@ -63,6 +63,10 @@ class LinearCycles:
         machine = with_values(self.machine, values)
         return machine if self._change is None else self._change(machine)
 
+    def cells_of(self, machine: Machine) -> FloatArray:
+        """Return the cells of a machine's turn, as shares of it, (n_cells + 1,)."""
+        return divided(machine.openings.fractions, self.steps_per_position)
+
     def cycle(self, values: Mapping[str, float]) -> LinearCycle:
         """Return the cycle at a setting of the parameters.
 
@@ -74,7 +78,7 @@ class LinearCycles:
             Stiction holds the piston all the time.
         """
         question = self.question(values)
-        cells = divided(question.machine.openings.fractions, self.steps_per_position)
+        cells = self.cells_of(question.machine)
         plan = question.plan(cells, TOLERANCE)
         steps = new_steps(question, cells)
 
@@ -98,7 +102,7 @@ class LinearCycles:
             plan=plan,
             repeated=repeated,
             settings=dict(values),
-            machine_at=self.machine_at,
+            changed_at=lambda changed: self._changed_at(changed, cells),
         )
         self._start = found.initial_state
         return found
@@ -121,9 +125,20 @@ class LinearCycles:
         question, cells = cycle.question, cycle.cells
         if name == "frequency":
             return -np.diff(cells) / question.frequency**2
-        if not is_angle(name):
-            return np.zeros(cells.size - 1)
-        return np.diff(self._cell_slopes(cycle, name)) / question.frequency
+        if is_angle(name):
+            return np.diff(self._cell_slopes(cycle, name)) / question.frequency
+        # A ramp, or a point of a command, moves the pieces too; pressures and the like do not.
+        high, low = around(name, cycle.settings[name])
+        up, down = (cycle.changed_at({**cycle.settings, name: moved})[1] for moved in (high, low))
+        return np.diff(up - down) / ((high - low) * question.frequency)
+
+    def _changed_at(self, values: Mapping[str, float], cells: FloatArray) -> tuple[Machine, FloatArray]:
+        """Return the machine at another setting, and its cells, of which there must be as many."""
+        machine = self.machine_at(values)
+        moved = self.cells_of(machine)
+        if moved.size != cells.size:
+            raise _order_changes(values)
+        return machine, moved
 
     def _cell_slopes(self, cycle: LinearCycle, name: str) -> FloatArray:
         table = cycle.question.machine.openings
@@ -138,10 +153,14 @@ class LinearCycles:
                 slopes = divided(moved.fractions - table.fractions, self.steps_per_position) / step
                 self._edge_slopes[name] = table.areas, slopes
                 return slopes
-        raise ValueError(
-            f"{name}: found {value:g}, from where the order of the switching instants changes either way; keep them "
-            "apart"
-        )
+        raise _order_changes({name: value})
+
+
+def _order_changes(values: Mapping[str, float]) -> ValueError:
+    found = ", ".join(f"{name} {value:g}" for name, value in values.items())
+    return ValueError(
+        f"parameters: found {found}, from where the order of the switching instants changes; keep them apart"
+    )
 
 
 def _same_pieces(one: FloatArray, other: FloatArray) -> bool:

@@ -303,7 +303,8 @@ def present_value(machine: Machine, frequency: float, name: str) -> float:
     if edge is not None:
         edges = pulse_edges(machine)
         if edge >= len(edges):
-            raise ValueError(f"parameters: found {name!r}, but the valve has {len(edges) // 2} pulses")
+            follows = "" if edges else ": it is proportional and follows its command, as 'valve.command.angles.0'"
+            raise ValueError(f"parameters: found {name!r}, but the valve has {len(edges) // 2} pulses{follows}")
         return edges[edge]
     return _value(machine, name.split("."), name)
 
@@ -331,10 +332,10 @@ def pulse_edge(name: str) -> int | None:
 
 
 def pulse_edges(machine: Machine) -> tuple[float, ...]:
-    """Return the angles at which the valve goes on and off in turn [rad]."""
+    """Return the angles at which the valve goes on and off in turn [rad]; a proportional one has none."""
     on = machine.valve.on_window()
     if isinstance(on, Command):
-        raise ValueError("parameters: found a switching angle of a proportional valve, which follows its command")
+        return ()
     return on.edges if isinstance(on, Pulses) else (on.start, on.start + on.width)
 
 
@@ -344,11 +345,19 @@ def _moved(machine: Machine, frequency: float, name: str) -> tuple[tuple[tuple[M
     if name == "frequency":
         step = STEP * value
         return ((machine, frequency + step), (machine, frequency - step)), 2 * step
+    high, low = around(name, value)
+    return tuple((with_values(machine, {name: moved}), frequency) for moved in (high, low)), high - low
+
+
+def around(name: str, value: float) -> tuple[float, float]:
+    """Return values of a parameter a little above and below, on one side only where it can go no further."""
     step = STEP * (abs(value) if value and not is_angle(name) else 1.0)
     high, low = value + step, value - step
     if name == "duty":
-        high, low = min(high, 1.0), max(low, 0.0)
-    return tuple((with_values(machine, {name: moved}), frequency) for moved in (high, low)), high - low
+        return min(high, 1.0), max(low, 0.0)
+    if re.fullmatch(r".*command\.openings\.[0-9]+", name):
+        return min(high, 1.0), max(low, -1.0)
+    return high, low
 
 
 def is_angle(name: str) -> bool:

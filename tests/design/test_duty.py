@@ -1,5 +1,6 @@
 """Duty optimization: against sweeps on the same model, its own conditions of optimality, and the nonlinear machine."""
 
+import dataclasses
 import math
 
 import cvxpy as cp
@@ -361,3 +362,32 @@ def test_a_correction_that_fails_leaves_the_linear_optimum(machine):
     )
     assert found.status == "optimal"
     assert (found.corrected is None) == bool(found.not_corrected)
+
+
+def proportional():
+    machine = lp.load_machine("double_acting_5_2").without_dry_friction()
+    command = lp.Command(angles=(0.0, 2.2, 3.8), openings=(-0.8, 0.9, 0.3))
+    return dataclasses.replace(machine, valve=lp.ProportionalValve(command=command))
+
+
+def test_a_proportional_valves_command_is_designed_for_a_wanted_mean():
+    names = "valve.command.angles.1", "valve.command.angles.2"
+    problem = design.duty_problem(proportional(), 5.0, {name: (0.5, 6.0) for name in names})
+    assert list(problem.limits)[-1] == f"order of {names[0]} and {names[1]}"
+    found = problem.solve(
+        cp.Minimize((problem.nominal.mean("position") / 1e-3 - 24) ** 2 + 1e-3 * problem.variables[names[1]]),
+        n_starts=25,
+    )
+    assert found.status == "optimal"
+    assert found.values[names[1]] > found.values[names[0]]
+    assert found.model is not None
+    assert 1e3 * found.model.orbit.mean("position") == pytest.approx(24, abs=0.1)
+    assert 1e3 * found.nonlinear["nominal"].mean("position") == pytest.approx(24, abs=1.0)
+
+
+def test_a_proportional_valve_has_no_edges_to_design():
+    with pytest.raises(ValueError, match=r"neither duty nor pulses; expected points of its command"):
+        design.duty_problem(proportional(), 5.0)
+    for name in ("duty", "on_1"):
+        with pytest.raises(ValueError, match=f"found '{name}' of a proportional valve"):
+            design.duty_problem(proportional(), 5.0, {name: (0.1, 0.9)})
