@@ -59,6 +59,10 @@ def extensions() -> dict[str, lp.Machine]:
     one, two = lp.load_machine("kunt_singh_1990"), lp.load_machine("double_acting_5_2")
     walls = lp.EnergyBalance(heat_transfer_coefficient=60.0, wall_area=0.01, wall_temperature=300.0)
     dynamic, air = one.with_collapse("dynamic"), lp.RealGas(fluid="Air")
+    hot = lp.EnergyBalance(heat_transfer_coefficient=200.0, wall_area=0.02, wall_temperature=450.0)
+    mixed = one.with_collapse("dynamic").with_thermal(1.2)
+    assert isinstance(mixed.valve, lp.RotaryValve)
+    inner = tuple(replace(v, polytropic_exponent=1.0, energy_balance=walls) for v in mixed.valve.inner_volumes)
     leak = lp.FlowPath(source="chamber_1", chamber="chamber_2", area=0.2e-6)
     return {
         "adiabatic": one.with_thermal("adiabatic"),
@@ -67,11 +71,14 @@ def extensions() -> dict[str, lp.Machine]:
         "dynamic, adiabatic": dynamic.with_thermal("adiabatic"),
         "dynamic, polytropic": dynamic.with_thermal(1.3),
         "dynamic, offset": dynamic.with_offset(math.radians(-60)),
+        "hot wall, throughflow": one.with_thermal(hot),
+        "mixed polytropic": replace(mixed, valve=replace(mixed.valve, inner_volumes=inner)),
         "leakage": replace(two, flow_paths=(*two.flow_paths, leak)),
         "real": one.with_gas(air),
         "real, adiabatic": one.with_gas(air).with_thermal("adiabatic"),
         "real, dynamic, polytropic": dynamic.with_gas(air).with_thermal(1.2),
         "real, in series": replace(one.with_gas(air), collapse="in_series"),
+        "real, in series, adiabatic": replace(one.with_gas(air), collapse="in_series").with_thermal("adiabatic"),
         "hydraulic": lp.load_machine("hydraulic_4_2"),
         "hydraulic, in series": replace(one.with_gas(lp.Liquid()), collapse="in_series"),
     }

@@ -17,7 +17,9 @@ from ltvpneu.models.machine_arrays import (
 from ltvpneu.physics.flow import mass_flow
 
 MAX_SWEEPS = 500
-"""Passes over volumes that feed each other; each closes in by a factor."""
+"""Passes over volumes whose balances depend on each other's, or on a temperature; each closes in by a factor."""
+SETTLED = 1e-14
+"""Relative change in a pass at which all are at rest [-]."""
 
 
 @inlined
@@ -111,18 +113,19 @@ def settle_volumes(areas: FloatArray, machine: MachineArrays, state: FloatArray)
         return
     group, anchored = _groups(areas, machine)
     _share(group, anchored, machine, state)
-    coupled = False
-    for path in range(machine.paths.shape[0]):
-        coupled = coupled or (machine.paths[path, 1] >= 0 and is_open(path, areas))
     for _ in range(MAX_SWEEPS):
         moved = 0.0
         for k in range(n_volumes):
+            place = temperature_place(k, machine)
             if anchored[group[k]]:
-                before = state[2 + k]
+                pressure = state[2 + k]
                 _balance_volume(k, areas, machine, state)
-                moved = max(moved, abs(state[2 + k] - before) / before)
-            _settle_temperature(k, areas, machine, state)
-        if not coupled or moved < 1e-14:
+                moved = max(moved, abs(state[2 + k] - pressure) / pressure)
+            if place >= 0:
+                temperature = state[place]
+                _settle_temperature(k, areas, machine, state)
+                moved = max(moved, abs(state[place] - temperature) / temperature)
+        if moved < SETTLED:
             break
 
 
@@ -187,9 +190,6 @@ def _settle_temperature(k: int, areas: FloatArray, machine: MachineArrays, state
 
     Where neither is there, any temperature is at rest, and that of the surroundings is taken.
     """
-    place = temperature_place(k, machine)
-    if place < 0:
-        return
     gas = machine.gas
     heat = gas.heat_capacity_ratio / (gas.heat_capacity_ratio - 1.0) * gas.specific_gas_constant
     weight, sum_ = (
@@ -205,7 +205,7 @@ def _settle_temperature(k: int, areas: FloatArray, machine: MachineArrays, state
             if coming > 0.0:
                 weight += heat * coming
                 sum_ += heat * coming * (source.temperature if into == k else inside.temperature)
-    state[place] = sum_ / weight if weight > 0.0 else machine.exhaust.temperature
+    state[temperature_place(k, machine)] = sum_ / weight if weight > 0.0 else machine.exhaust.temperature
 
 
 @compiled

@@ -107,7 +107,8 @@ def test_mass_and_energy_close_over_the_period(name, frequency):
     machine = EXTENSIONS[name]
     found = lp.balance(machine, lp.nonlinear_orbit(machine, frequency))
     assert found.mass_error < 1e-9
-    assert found.energy_error < 1e-9
+    if any("temperature" in state for state in machine.states):  # else the heat is what is left of the first law
+        assert found.energy_error < 1e-9
     assert (found.mass_in > 0).all()
 
 
@@ -290,7 +291,7 @@ def test_at_quasi_static_states_nothing_moves(name):
         found = rate(machine, state, areas)[2:] / machine.state_scales[2:]
         # Bisection to the last bit of a pressure, through flows with steep slopes. A real gas warms or cools a little
         # as it is throttled, which the quasi-static temperature leaves out.
-        assert np.abs(found).max() < (0.1 if name == "real, adiabatic" else 1e-3)
+        assert np.abs(found).max() < (0.1 if name.startswith("real") and "adiabatic" in name else 1e-3)
 
 
 # Linear models
