@@ -329,7 +329,10 @@ def _take_step(place: _Place, end: float, plan: Plan, steps: Steps, space: Works
         until = place.time + longest if longest < end - place.time else end
         status, stop, kind, piece, log = _visit((place.time, place.piece), until, place.mode, plan, space, log)
         if status != OK:
-            return _Taken(status, stop, -1, place.state, piece, math.inf, True)
+            reached = place.state.copy()
+            for i in range(n):
+                reached[i] = space.state[i] / plan.scales[i]
+            return _Taken(status, stop, -1, reached, piece, math.inf, True)
         if log.n_logged == 0 or stop <= place.time:
             return _Taken(OK, place.time, kind, place.state, piece, 0.0, False)
         duration = stop - place.time

@@ -111,7 +111,15 @@ def _forward(
     if math.isinf(second):
         return first * mass_flux(upstream, downstream, temperature, gas)
     middle = intermediate_pressure(first, second, upstream, downstream, temperature, gas)
-    # Whichever restriction has the larger pressure drop gives the flow with the smaller rounding error.
+    return _in_series(first, second, (upstream, middle, downstream), temperature, gas)
+
+
+@compiled
+def _in_series(
+    first: float, second: float, pressures: tuple[float, float, float], temperature: float, gas: GasConstants
+) -> float:
+    """Flow through both, by whichever has the larger pressure drop: that has the smaller rounding error."""
+    upstream, middle, downstream = pressures
     if upstream - middle > middle - downstream:
         return first * mass_flux(upstream, middle, temperature, gas)
     return second * mass_flux(middle, downstream, temperature, gas)
@@ -128,9 +136,14 @@ def _forward_slope(
     if upstream == downstream:
         return -math.inf
     middle = intermediate_pressure(first, second, upstream, downstream, temperature, gas)
+    # So much wider that nothing drops across it, one of the two is none.
+    if upstream == middle:
+        return second * mass_flux_slope(upstream, downstream, temperature, gas)
+    if middle == downstream:
+        return first * mass_flux_slope(upstream, downstream, temperature, gas)
     down_first = first * mass_flux_slope(upstream, middle, temperature, gas)
     down_second = second * mass_flux_slope(middle, downstream, temperature, gas)
-    flow = second * mass_flux(middle, downstream, temperature, gas)
+    flow = _in_series(first, second, (upstream, middle, downstream), temperature, gas)
     up_second = (flow - downstream * down_second) / middle
     # Implicit function theorem on first M(p_u, p_m) = second M(p_m, p_d).
     return down_first * down_second / (down_first - up_second)

@@ -21,6 +21,8 @@ Medium = Gas | RealGas | Liquid
 
 LAMINAR = 1e-5
 """Relative difference of pressures within which a gas flows in proportion to it [-], where that is asked for."""
+ROUNDING = 1e-15
+"""Relative drop of a pressure that is nothing but rounding [-]."""
 
 
 class MediumArrays(NamedTuple):
@@ -121,12 +123,19 @@ def _forward(
     if upstream == downstream and medium.kind != LIQUID:
         return Flow(0.0, math.inf, -math.inf, 0.0)
     middle = _pressure_between(areas, upstream, downstream, temperature, medium)
+    # So much wider that nothing drops across it, one of the two is none.
+    if medium.kind != LIQUID and upstream - middle <= ROUNDING * upstream:
+        return _through(areas[1], upstream, downstream, temperature, medium)
+    if medium.kind != LIQUID and middle - downstream <= ROUNDING * downstream:
+        return _through(areas[0], upstream, downstream, temperature, medium)
     one = _through(areas[0], upstream, middle, temperature, medium)
     two = _through(areas[1], middle, downstream, temperature, medium)
+    # Whichever has the larger pressure drop gives the flow with the smaller rounding error.
+    flow = one.flow if upstream - middle > middle - downstream else two.flow
     # Implicit function theorem on M_1(p_u, p_m, T) = M_2(p_m, p_d, T).
     apart = one.by_downstream - two.by_upstream
     return Flow(
-        two.flow,
+        flow,
         -one.by_upstream * two.by_upstream / apart,
         one.by_downstream * two.by_downstream / apart,
         one.by_temperature + one.by_downstream * (two.by_temperature - one.by_temperature) / apart,

@@ -11,11 +11,14 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import ltvpneu as lp
+from ltvpneu.errors import CavitationError, GasRangeError
 from ltvpneu.models.dynamics import state_rate
 from ltvpneu.models.linearize import areas_at
 from ltvpneu.models.quasi_static import settled_states
 from ltvpneu.models.staircase import staircase
 from ltvpneu.models.tangent import state_tangent
+from ltvpneu.physics.gas import GasState
+from ltvpneu.physics.medium import path_flow_slopes
 from tests.conftest import EXTENSIONS, MACHINES
 from tests.models.test_linearize import differences, input_differences, rate, relative_error
 
@@ -292,6 +295,33 @@ def test_at_quasi_static_states_nothing_moves(name):
         # Bisection to the last bit of a pressure, through flows with steep slopes. A real gas warms or cools a little
         # as it is throttled, which the quasi-static temperature leaves out.
         assert np.abs(found).max() < (0.1 if name.startswith("real") and "adiabatic" in name else 1e-3)
+
+
+@pytest.mark.parametrize("gas", [AIR, lp.RealGas(fluid="Air"), lp.Liquid()], ids=["ideal", "real", "liquid"])
+@pytest.mark.parametrize("ratio", [1e4, 1e6, 1e8, 1e10])
+@pytest.mark.parametrize("narrow_first", [True, False])
+def test_a_restriction_much_wider_than_the_other_is_none(table_1, gas, ratio, narrow_first):
+    medium = table_1.with_gas(gas).with_collapse("in_series").with_thermal("isothermal").arrays.medium
+    areas = (1e-6 / ratio, 1e-6) if narrow_first else (1e-6, 1e-6 / ratio)
+    source = GasState(4e5, 293.15)
+    for downstream in (1e5, 3.99e5, 4e5 * (1 - 3e-6)):
+        chamber = GasState(downstream, 293.15)
+        found = path_flow_slopes(*areas, source, chamber, medium)
+        alone = path_flow_slopes(min(areas), math.inf, source, chamber, medium)
+        np.testing.assert_allclose(found, alone, rtol=20 / ratio + 1e-6, atol=1e-7 * abs(alone[0]) / 4e5)
+
+
+def test_what_stops_a_march_through_linear_steps_is_named_as_in_the_nonlinear_model():
+    machine = lp.load_machine("hydraulic_4_2")
+    machine = replace(machine, exhaust_pressure=1.5e5, gas=replace(machine.gas, entrained_gas=0.0))
+    hot = EXTENSIONS["real, adiabatic"].with_gas(lp.RealGas(fluid="Air", temperature_range=(240.0, 330.0)))
+    for one, frequency, error in ((machine, 5.0, CavitationError), (hot, 4.0, GasRangeError)):
+        with pytest.raises(error) as exact:
+            lp.nonlinear_orbit(one, frequency)
+        with pytest.raises(error) as linear:
+            lp.ltv_model(one, frequency, n_steps=8, operating_points="fitted")
+        # "the liquid in chamber_1 would ...": the same volume, or the same range.
+        assert str(linear.value).split(" at t = ")[0] == str(exact.value).split(" at t = ")[0]
 
 
 # Linear models
