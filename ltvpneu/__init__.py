@@ -23,6 +23,7 @@ from ltvpneu.face.plots import plot
 from ltvpneu.models.amplitude import AmplitudeResponse, amplitude_response
 from ltvpneu.models.balance import Balance, balance
 from ltvpneu.models.connections import FlowPath
+from ltvpneu.models.cycle_floquet import cycle_floquet
 from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.linearize import Linearization, LtvModel, linearize
 from ltvpneu.models.lti import lti_model
@@ -126,6 +127,7 @@ __all__ = [
     "amplitude_response",
     "averaged",
     "balance",
+    "cycle_floquet",
     "feedback",
     "floquet",
     "frequency_response",

@@ -18,12 +18,12 @@ from ltvpneu._arrays import BoolArray, FloatArray, read_only
 from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box, verified_rate
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.amplitude import FailedPoint
+from ltvpneu.models.cycle_floquet import cycle_floquet
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.ltv import OperatingPoints, ltv_model
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.maps import grid_of
 from ltvpneu.models.nonlinear import nonlinear_orbit
-from ltvpneu.periodic.floquet import floquet
 
 SHRINKINGS = 7
 """Rounds in which the widest box with a common function is closed in on."""
@@ -139,7 +139,7 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
         present, frequency = machine.with_duty(float(duty_grid[place[1]])), float(frequency_grid[place[0]])
         try:
             model = models[place] = ltv_model(present, frequency, n_steps=n_steps, operating_points=operating_points)
-            found = floquet(model.system)
+            found = cycle_floquet(model)
             arrays["spectral_radii"][place], arrays["margins"][place] = found.spectral_radius, found.margin
         except (LtvpneuError, ValueError) as error:
             failures.append(FailedPoint(model="ltv", frequency=frequency, error=error))

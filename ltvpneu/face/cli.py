@@ -18,9 +18,9 @@ from ltvpneu.face.report import LABELS, multipliers_text, study_text, table
 from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
 from ltvpneu.face.study_data import study_data
 from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
+from ltvpneu.models.cycle_floquet import cycle_floquet
 from ltvpneu.models.ltv import MODES, ltv_model
 from ltvpneu.models.machine import Machine
-from ltvpneu.periodic.floquet import floquet
 
 if TYPE_CHECKING:
     from ltvpneu.face.study_design import DesignStudy
@@ -252,7 +252,7 @@ def _stability(options: argparse.Namespace) -> int:
     all_stable = True
     for frequency in options.frequency:
         model = ltv_model(machine, frequency, n_steps=options.n_steps, operating_points=options.operating_points)
-        found = floquet(model.system)
+        found = cycle_floquet(model)
         all_stable = all_stable and found.is_stable
         figures = [f"{found.spectral_radius:.6g}", f"{found.margin:.1e}", found.verdict]
         rows.append([f"{frequency:g}", f"{machine.duty:.4g}", multipliers_text(found), *figures])

@@ -12,6 +12,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.amplitude import MODELS, AmplitudeResponse, amplitude_response
+from ltvpneu.models.cycle_floquet import cycle_floquet
 from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.lti import lti_model
@@ -20,7 +21,7 @@ from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear import nonlinear_orbit
 from ltvpneu.models.stiction_band import StictionBand, stiction_band
 from ltvpneu.models.variational import OrbitFloquet, orbit_floquet
-from ltvpneu.periodic.floquet import Floquet, floquet
+from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 
 
@@ -115,7 +116,7 @@ def run_case(machine: Machine, frequency: float, n_steps: int, operating_points:
                 if name == "ltv"
                 else lti_model(machine, frequency)
             )
-            case.models[name], case.floquets[name] = model, floquet(model.system)
+            case.models[name], case.floquets[name] = model, cycle_floquet(model)
             case.orbits[name] = model.orbit
             case.estimates[name] = model.error_estimate
         except (LtvpneuError, ValueError) as error:

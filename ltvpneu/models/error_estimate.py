@@ -21,6 +21,8 @@ MOST_PRESSURE = 4.0
 """Highest pressure of a liquid that operating points are kept at, over that of the supply [-]."""
 LEAST_TEMPERATURE, MOST_TEMPERATURE = 0.3, 3.0
 """Range that temperatures of operating points are kept in, over that of the surroundings [-]."""
+HELD = 1e-2
+"""How far from the cycle its operating points may be held for an estimate, over the states' scales [-]."""
 SETTLED, NEGLIGIBLE = 0.2, 2e-3
 """The defect is taken again, of the sum, until that moves the estimate by less than this share of it, or less than this
 share of the amplitude."""
@@ -46,7 +48,8 @@ class ErrorEstimate:
     maxima: FloatArray
     means: FloatArray
     is_reliable: bool
-    """Whether the corrected cycle was found to repeat; if not, the figures are only a first guess."""
+    """Whether the corrected cycle was found to repeat, where the nonlinear equations hold; if not, the figures are only a
+    first guess."""
 
     def __repr__(self) -> str:
         return f"<ErrorEstimate of {self.orbit.name}: {self.amplitude(0):+.3g} of {self.orbit.amplitude(0):.6g}>"
@@ -123,6 +126,10 @@ class _Corrector:
         values = [orbit.trajectory.at(times[:-1] + share * widths)[:n].T for share in (0.0, 0.5, 1.0 - 1e-12)]
         return self.inside((values[0] + 4 * values[1] + values[2]) / 6)
 
+    def holds(self, points: FloatArray) -> bool:
+        """Return whether the equations hold at points, to within what the estimate is right to."""
+        return bool((np.abs(self.inside(points) - points) <= HELD * self.machine.state_scales).all())
+
     def inside(self, points: FloatArray) -> FloatArray:
         """Return operating points kept between the sources' pressures, and where volumes are well above zero."""
         machine = self.machine
@@ -162,6 +169,8 @@ def error_estimate(machine: Machine, frequency: float, orbit: Orbit, distance: f
         following, change = corrected(start, corrector.given(points), 1e-7, 400)
         is_reliable = following.is_finite and change < 1e-4
         best = following if is_reliable else best
+    # Held inside at the end, the points are not those of the cycle found, and its error is another.
+    is_reliable = is_reliable and corrector.holds(best.means)
     own = np.array([[orbit.minimum(i), orbit.maximum(i), orbit.mean(i)] for i in range(n)])
     found = np.array([best.lows, best.highs, best.sums / orbit.period]).T * scales[:, None]
     errors = own - found

@@ -45,12 +45,14 @@ NEUTRAL = 1e-6
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class OrbitFloquet:
-    """Multipliers of a nonlinear orbit, over its own period, largest first."""
+    """Multipliers of an orbit of the nonlinear model, or of one that a model of steps follows, largest first."""
 
     orbit: Orbit
     product: ProductMultipliers
     monodromy: FloatArray
     """Where a disturbance of the initial state goes in one orbit, (n, n), in the states' units."""
+    margin: float = NEUTRAL
+    """Distance of a modulus from 1 within which it cannot be told from 1 [-]."""
 
     def __repr__(self) -> str:
         return f"<OrbitFloquet of {self.orbit.name}: multipliers {self.multipliers}>"
@@ -78,14 +80,14 @@ class OrbitFloquet:
     @cached_property
     def is_stable(self) -> bool:
         """Whether every small disturbance decays; false in a stiction band, whose every position stays."""
-        return self.spectral_radius < 1 - NEUTRAL
+        return self.spectral_radius < 1 - self.margin
 
     @property
     def verdict(self) -> str:
         """Stable, not stable, or marginal, as in a stiction band."""
         if self.is_stable:
             return "stable"
-        return "marginal" if self.spectral_radius <= 1 + NEUTRAL else "not stable"
+        return "marginal" if self.spectral_radius <= 1 + self.margin else "not stable"
 
 
 def orbit_floquet(machine: Machine, orbit: Orbit) -> OrbitFloquet:
@@ -100,7 +102,7 @@ def orbit_floquet(machine: Machine, orbit: Orbit) -> OrbitFloquet:
     Raises
     ------
     TypeError
-        The orbit is a linear model's; `floquet` of its system is what is wanted there.
+        The orbit is a linear model's; `cycle_floquet` of the model is what is wanted there.
 
     Examples
     --------
@@ -113,7 +115,7 @@ def orbit_floquet(machine: Machine, orbit: Orbit) -> OrbitFloquet:
     if not isinstance(trajectory, PolynomialTrajectory):
         raise TypeError(
             f"orbit: found one of {orbit.name}, a linear model; expected one of nonlinear_orbit. Of a linear model, "
-            "take lp.floquet(model.system)"
+            "take lp.cycle_floquet(model)"
         )
     factors = _Factors(machine, orbit, trajectory).all()
     scales = machine.state_scales

@@ -340,3 +340,31 @@ def test_wrong_names_and_tolerances_are_named(table_1):
     with pytest.raises(ValueError, match="rtol: found 2, expected a relative error below 1"):
         lp.ltv_model(table_1, 8.0, rtol=2.0)
     assert len(lp.validity_map(with_load(table_1, -100.0), [0.2], [1.0], operating_points="lti").failures) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "frequency", "duty", "modes"),
+    [
+        ("kunt_singh_1990", 10.0, 0.2, {"fitted": 2, "self-consistent": 20}),
+        ("kunt_singh_1990", 15.0, 0.2, {"fitted": 2, "self-consistent": 20}),
+        ("double_acting_5_2", 2.0, 0.5, {"fitted": 2, "self-consistent": 20}),
+        ("double_acting_5_2", 8.0, 0.4, {"self-consistent": 40}),
+    ],
+)
+def test_a_cycles_multipliers_are_those_of_the_nonlinear_orbit(name, frequency, duty, modes):
+    """With the steps kept as they are, the radius is 4 at 15 Hz and 6 for the double-acting drive at 2 Hz."""
+    machine = lp.load_machine(name).with_duty(duty)
+    exact = lp.orbit_floquet(machine, lp.nonlinear_orbit(machine, frequency)).spectral_radius
+    for mode, n_steps in modes.items():
+        found = lp.cycle_floquet(lp.ltv_model(machine, frequency, n_steps=n_steps, operating_points=mode))
+        assert found.is_stable
+        assert found.verdict == "stable"
+        assert found.spectral_radius == pytest.approx(exact, rel=0.12, abs=1e-5)
+
+
+def test_a_cycle_in_a_stiction_band_is_marginal_and_other_models_have_their_systems_multipliers(table_1):
+    resting = lp.ltv_model(table_1.with_duty(0.7), 20.0, operating_points="self-consistent", n_steps=10)
+    assert not resting.orbit.is_unique
+    assert lp.cycle_floquet(resting).verdict == "marginal"
+    model = lp.ltv_model(table_1, 4.0)
+    assert lp.cycle_floquet(model).spectral_radius == lp.floquet(model.system).spectral_radius
