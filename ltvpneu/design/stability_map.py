@@ -92,7 +92,7 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
     frequencies: ArrayLike,
     *,
     box: Box | None = None,
-    n_steps: int = 2,
+    n_steps: int | None = None,
     operating_points: OperatingPoints = "lti",
     progress: Callable[[int], object] | None = None,
 ) -> StabilityMap:

@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -21,6 +22,7 @@ from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
 from ltvpneu.models.cycle_floquet import cycle_floquet
 from ltvpneu.models.ltv import MODES, ltv_model
 from ltvpneu.models.machine import Machine
+from ltvpneu.physics.proportional import ProportionalValve
 
 if TYPE_CHECKING:
     from ltvpneu.face.study_design import DesignStudy
@@ -32,9 +34,15 @@ STABLE, NOT_STABLE, BAD_INPUT = 0, 1, 2
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0 done or stable, 1 not stable, 2 bad input."""
     options = _parser().parse_args(arguments)
+
+    def show(message: Warning | str, *_: object, **__: object) -> None:
+        print(f"ltvpneu {options.command}: warning: {_located(str(message), options.machine)}", file=sys.stderr)
+
     try:
-        return options.run(options)
-    except (LtvpneuError, ValueError, TypeError, OSError) as error:
+        with warnings.catch_warnings():
+            warnings.showwarning = show
+            return options.run(options)
+    except (LtvpneuError, ValueError, TypeError, OSError, ImportError) as error:
         print(f"ltvpneu {options.command}: error: {_located(str(error), options.machine)}", file=sys.stderr)
         return BAD_INPUT
 
@@ -162,7 +170,9 @@ def _add_design(parser: argparse.ArgumentParser) -> None:
 
 def _add_model(parser: argparse.ArgumentParser, default: str) -> None:
     standard = f"{default}, the paper's" if default == "lti" else default
-    parser.add_argument("--n-steps", type=int, default=2, metavar="N", help="steps of the LTV model (default: 2)")
+    parser.add_argument(
+        "--n-steps", type=int, metavar="N", help="steps of the LTV model (default: 2, or one for each valve position)"
+    )
     parser.add_argument(
         "--operating-points",
         choices=MODES,
@@ -188,7 +198,9 @@ def _study(options: argparse.Namespace) -> int:
     # A lazy door: cvxpy takes a second to load, and not every command needs it.
     from ltvpneu.face.study_design import design_text, n_design_parts, run_design
 
-    total = n_parts(machine, options.frequency, frequencies) + n_design_parts(options.frequency)
+    total = n_parts(machine, options.frequency, frequencies)
+    switches = not isinstance(machine.valve, ProportionalValve)
+    total += n_design_parts(options.frequency) if switches else 0
     # The first part of the first run takes longest: it compiles the laws.
     with tqdm(total=total, desc="study", unit="part", leave=False) as bar:
         study = run_study(
@@ -199,20 +211,24 @@ def _study(options: argparse.Namespace) -> int:
             grid=frequencies,
             progress=bar.update,
         )
-        if any(case.orbits for case in study.cases):
+        if switches and any(case.orbits for case in study.cases):
             designed = run_design(machine, options.frequency, bar.update)
         else:
             designed = None
     print(study_text(study))
-    if designed is None:
+    if not any(case.orbits for case in study.cases):
         raise ValueError("no model gave an orbit at any frequency; the reasons stand in the tables above")
-    print(design_text(designed))
+    if designed is None:
+        print("The valve is proportional and has no duty cycle to map or to design; in Python, duty_problem takes its")
+        print("command's points, pressures and frequency as variables.\n")
+    else:
+        print(design_text(designed))
     written = write_study(study, designed, options.out)
     print("written:", *(f"  {path}" for path in written), sep="\n")
     return 0
 
 
-def write_study(study: Study, designed: "DesignStudy", folder: Path) -> list[Path]:
+def write_study(study: Study, designed: "DesignStudy | None", folder: Path) -> list[Path]:
     """Write the pictures and the JSON of a study; return their paths."""
     # A lazy door: matplotlib takes longer to load than the study to run.
     from ltvpneu.face import pictures
@@ -232,16 +248,17 @@ def write_study(study: Study, designed: "DesignStudy", folder: Path) -> list[Pat
     found = {f"{case.frequency:g} Hz": case.floquets["ltv"] for case in study.cases if "ltv" in case.floquets}
     if found:
         figures["multipliers"] = pictures.draw(found)
-    figures["duty_map"] = pictures.draw(designed.duties)
-    figures["stability_map"] = pictures.draw(designed.stability)
-    if designed.optimum is not None:
+    if designed is not None:
+        figures["duty_map"] = pictures.draw(designed.duties)
+        figures["stability_map"] = pictures.draw(designed.stability)
+    if designed is not None and designed.optimum is not None:
         figures["optimum"] = pictures.draw(designed.optimum)
     written: list[Path] = []
     for name, figure in figures.items():
         written.append(folder / f"{name}.png")
         figure.savefig(written[-1], dpi=150)
     written.append(folder / "study.json")
-    data = study_data(study) | {"design": design_data(designed)}
+    data = study_data(study) | ({} if designed is None else {"design": design_data(designed)})
     written[-1].write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return written
 
@@ -254,10 +271,14 @@ def _stability(options: argparse.Namespace) -> int:
         model = ltv_model(machine, frequency, n_steps=options.n_steps, operating_points=options.operating_points)
         found = cycle_floquet(model)
         all_stable = all_stable and found.is_stable
+        # A cycle may take several periods to repeat, and its steps are then those of all of them.
+        periods = 1 if model.own_cycle is None else model.own_cycle.n_periods
         figures = [f"{found.spectral_radius:.6g}", f"{found.margin:.1e}", found.verdict]
-        rows.append([f"{frequency:g}", f"{machine.duty:.4g}", multipliers_text(found), *figures])
-    print(f"{machine.name}: LTV model, {options.n_steps} steps, operating points {options.operating_points!r}\n")
-    print(table(["frequency [Hz]", "duty", "multipliers", "radius", "computed to", "verdict"], rows))
+        counts = [f"{model.system.n_steps}", f"{periods}"]
+        rows.append([f"{frequency:g}", f"{machine.duty:.4g}", *counts, multipliers_text(found), *figures])
+    print(f"{machine.name}: LTV model, operating points {options.operating_points!r}\n")
+    header = ["frequency [Hz]", "duty", "steps", "periods", "multipliers", "radius", "computed to", "verdict"]
+    print(table(header, rows))
     return STABLE if all_stable else NOT_STABLE
 
 

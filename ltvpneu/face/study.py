@@ -19,6 +19,7 @@ from ltvpneu.models.lti import lti_model
 from ltvpneu.models.ltv import OperatingPoints, ltv_model
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear import nonlinear_orbit
+from ltvpneu.models.staircase import default_steps
 from ltvpneu.models.stiction_band import StictionBand, stiction_band
 from ltvpneu.models.variational import OrbitFloquet, orbit_floquet
 from ltvpneu.periodic.floquet import Floquet
@@ -61,12 +62,13 @@ def run_study(
     machine: Machine,
     frequencies: Sequence[float],
     *,
-    n_steps: int,
+    n_steps: int | None,
     operating_points: OperatingPoints,
     grid: FloatArray,
     progress: Callable[[int], object],
 ) -> Study:
     """Work a machine through; `progress` is called with 1 after each of `n_parts` parts."""
+    n_steps = default_steps(machine) if n_steps is None else n_steps
 
     def cases(present: Machine) -> tuple[Case, ...]:
         found: list[Case] = []
@@ -94,7 +96,7 @@ def n_parts(machine: Machine, frequencies: Sequence[float], grid: FloatArray) ->
     return len(frequencies) * (2 if machine.has_dry_friction else 1) + 2 * grid.size
 
 
-def run_case(machine: Machine, frequency: float, n_steps: int, operating_points: OperatingPoints) -> Case:
+def run_case(machine: Machine, frequency: float, n_steps: int | None, operating_points: OperatingPoints) -> Case:
     """Work one frequency through."""
     case = Case(
         machine=machine,

@@ -45,7 +45,11 @@ def grid(name: str, limits: list[float], points: int, most: float) -> list[float
 
 
 def run_sweep(
-    machine: Machine, duties: list[float], frequencies: list[float], n_steps: int, operating_points: OperatingPoints
+    machine: Machine,
+    duties: list[float],
+    frequencies: list[float],
+    n_steps: int | None,
+    operating_points: OperatingPoints,
 ) -> Sweep:
     """Work both maps out, with a progress bar."""
     # The nonlinear machine takes as long as the model, near enough for a bar.

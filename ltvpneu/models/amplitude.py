@@ -61,7 +61,7 @@ def amplitude_response(
     frequencies: ArrayLike,
     models: Sequence[Model] = MODELS,
     *,
-    n_steps: int = 2,
+    n_steps: int | None = None,
     operating_points: OperatingPoints = "lti",
     progress: Callable[[int], object] | None = None,
 ) -> AmplitudeResponse:
@@ -121,7 +121,9 @@ def amplitude_response(
     )
 
 
-def _orbit(machine: Machine, frequency: float, model: Model, n_steps: int, operating_points: OperatingPoints) -> Orbit:
+def _orbit(
+    machine: Machine, frequency: float, model: Model, n_steps: int | None, operating_points: OperatingPoints
+) -> Orbit:
     if model == "nonlinear":
         return nonlinear_orbit(machine, frequency)
     if model == "lti":

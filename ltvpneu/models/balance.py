@@ -31,6 +31,9 @@ from ltvpneu.physics.medium import properties
 NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(8))
 MASS_IN, MASS_OUT, ENTHALPY_IN, ENTHALPY_OUT, HEAT, WORK = range(6)
 
+CLOSES = 1e-5
+"""Scaled distance from its beginning within which an orbit counts as closed [-]."""
+
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -66,7 +69,7 @@ class Balance:
     def mass_error(self) -> float:
         """Mass left over, relative to what flowed in, at worst [-]."""
         left = np.abs(self.mass_in - self.mass_out - self.mass_stored)
-        return float(np.max(left / np.maximum(self.mass_in, self.mass_out)))
+        return float(np.max(left / np.maximum(np.maximum(self.mass_in, self.mass_out), np.finfo(float).tiny)))
 
     @property
     def energy_error(self) -> float:
@@ -89,7 +92,8 @@ def balance(machine: Machine, orbit: Orbit, *, rtol: float = 1e-12) -> Balance:
     Raises
     ------
     ValueError
-        The orbit's states are not the machine's.
+        The orbit's states are not the machine's, or the machine does not return to where the orbit begins: it is of
+        another machine, or of a linear model.
     IntegrationError
         The equations could not be integrated on.
 
@@ -117,6 +121,12 @@ def balance(machine: Machine, orbit: Orbit, *, rtol: float = 1e-12) -> Balance:
             raise_stopped(machine, outcome.status, number * orbit.system_period + outcome.time, outcome.state)
         total += _integrals(outcome.record, schedule, machine.arrays)
         state = outcome.state
+    gap = float(np.max(np.abs(state - orbit.initial_state) / machine.state_scales))
+    if not gap < CLOSES:
+        raise ValueError(
+            f"orbit: found {orbit.name}, to whose beginning the machine does not return (a relative {gap:.1e} is "
+            "left), expected one of lp.nonlinear_orbit(machine, ...): balances close over a cycle of the machine's own"
+        )
     stored = _stored(state, machine) - before
     heat = total[:, HEAT]
     for k in range(machine.n_volumes):

@@ -48,8 +48,8 @@ class ErrorEstimate:
     maxima: FloatArray
     means: FloatArray
     is_reliable: bool
-    """Whether the corrected cycle was found to repeat, where the nonlinear equations hold; if not, the figures are only a
-    first guess."""
+    """Whether the corrected cycle was found to repeat, where the nonlinear equations hold; if not, the figures are only
+    a first guess."""
 
     def __repr__(self) -> str:
         return f"<ErrorEstimate of {self.orbit.name}: {self.amplitude(0):+.3g} of {self.orbit.amplitude(0):.6g}>"

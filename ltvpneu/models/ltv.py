@@ -12,7 +12,7 @@ from ltvpneu.models.machine import Machine
 from ltvpneu.models.mesh import cut_schedule
 from ltvpneu.models.operating_points import LEAST_DISTANCE, Turn, held_inside, quasi_static_turn
 from ltvpneu.models.own_cycle import Question, Spacing, model_to_tolerance, own_cycle_model
-from ltvpneu.models.staircase import staircase
+from ltvpneu.models.staircase import default_steps, staircase
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.ramps import ramped
 from ltvpneu.periodic.steady import periodic_states
@@ -47,10 +47,10 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     frequency : float
         Switching frequency [Hz].
     n_steps : int, optional
-        N_s, steps of the staircase over one turn; at least the number of valve positions. Default 2. A position that
-        lasts across the start of the turn is cut in two there, and counts as one where no more steps are asked for than
-        positions. "fitted" and "self-consistent" models are also cut where the piston stops, reverses or breaks away,
-        and where no operating point is found for a whole step.
+        N_s, steps of the staircase over one turn; at least the number of valve positions, by default that or 2. A
+        position that lasts across the start of the turn is cut in two there, and counts as one where no more steps are
+        asked for than positions. "fitted" and "self-consistent" models are also cut where the piston stops, reverses or
+        breaks away, and where no operating point is found for a whole step.
     operating_points : str or ndarray, shape (n_steps, n), optional
         "lti", the default: means over each step of the LTI model's cycle (17), the position held at its mean over the
         turn, which the paper found more accurate; "lti-position": the position by (17) too; "mean": the cycle's means
@@ -131,7 +131,7 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
         raise ValueError(f"spacing: found {spacing!r}, which is for fitted and self-consistent models")
     if hold not in ("zero", "first"):
         raise ValueError(f'hold: found {hold!r}, expected "zero" or "first"')
-    n_steps, tangent = 2 if n_steps is None else n_steps, "paper" if tangent is None else tangent
+    n_steps, tangent = default_steps(machine) if n_steps is None else n_steps, "paper" if tangent is None else tangent
     iterations, mode, held_back = 0, "given", ()
     if isinstance(operating_points, str):
         mode = operating_points
@@ -163,7 +163,9 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
 
 def _following_its_cycle(question: Question, n_steps: int | None, spacing: Spacing, rtol: float | None) -> LtvModel:
     if rtol is None:
-        return own_cycle_model(question, whole("n_steps", 2 if n_steps is None else n_steps), spacing)
+        return own_cycle_model(
+            question, whole("n_steps", default_steps(question.machine) if n_steps is None else n_steps), spacing
+        )
     if n_steps is not None:
         raise ValueError(f"n_steps, rtol: found {n_steps} and {rtol:g}, expected one of them")
     if positive("rtol", rtol) >= 1:

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -29,13 +29,16 @@ from ltvpneu.physics.gas import Gas, GasState
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
-from ltvpneu.physics.medium import LAMINAR, Medium, MediumArrays
+from ltvpneu.physics.medium import LAMINAR, Medium, MediumArrays, check_process
 from ltvpneu.physics.proportional import Command, ProportionalValve
 from ltvpneu.physics.real_gas import RealGas
 from ltvpneu.physics.thermal import EnergyBalance
 from ltvpneu.physics.valve import OnOffValve, RotaryValve
 
 Valve = RotaryValve | OnOffValve | ProportionalValve
+
+COLDEST_EXPECTED = 100.0
+"""Temperature below which a number is more likely degrees than kelvin [K]."""
 
 
 @final
@@ -108,6 +111,11 @@ class Machine:
                         f"flow_paths: found a path to {end!r}, expected one of the cylinder's chambers: "
                         f"{', '.join(self.cylinder.chambers)}"
                     )
+        if self.collapse != "minimum" and not isinstance(self.valve, RotaryValve):
+            raise ValueError(
+                f'collapse: found "{self.collapse}" of a valve without inner volumes, expected "minimum", or a rotary '
+                "valve"
+            )
         if isinstance(self.valve, RotaryValve):
             check_ways(self.valve, self.collapse, self.cylinder.chambers)
         fed = {end for connection in self.connections for end in (connection.chamber, connection.source)}
@@ -120,23 +128,14 @@ class Machine:
 
     def _check_medium(self) -> None:
         gas, cylinder = self.gas, self.cylinder
+        if gas.temperature < COLDEST_EXPECTED:
+            warnings.warn(f"gas.temperature: found {gas.temperature:g} K; was that meant in degrees?", stacklevel=4)
         processes = [
             *((f"cylinder.polytropic_exponent_{name[-1]}", *cylinder.process(name)) for name in cylinder.chambers),
             *((f"valve.inner_volumes: {v.name}", v.polytropic_exponent, v.energy_balance) for v in self.inner_volumes),
         ]
         for name, exponent, balance in processes:
-            if isinstance(gas, Liquid):
-                if exponent != 1.0 or balance is not None:
-                    raise ValueError(
-                        f"{name}: found a thermal process of a liquid, whose compression has next to no heat; expected "
-                        "exponent 1 and no energy_balance"
-                    )
-            elif not 1.0 <= exponent <= gas.heat_capacity_ratio:
-                warnings.warn(
-                    f"{name}: found {exponent:g}, outside 1 (isothermal) to {gas.heat_capacity_ratio:g} (adiabatic): a "
-                    "gas that exchanges heat with its wall lies between; beyond, heat would flow from cold to warm",
-                    stacklevel=4,
-                )
+            check_process(name, exponent, balance, gas)
         if isinstance(gas, Liquid) and self.exhaust_pressure <= gas.vapor_pressure:
             raise ValueError(
                 f"exhaust_pressure: found {self.exhaust_pressure:g} Pa, not above the liquid's vapor pressure "
@@ -198,6 +197,10 @@ class Machine:
 
     def with_gas(self, medium: Medium) -> "Machine":
         """Return the machine with another medium: `Gas`, `RealGas` or `Liquid`."""
+        asked: Any = medium
+        if not isinstance(asked, Gas | RealGas | Liquid):
+            hint = f'; RealGas(fluid="{asked}")?' if isinstance(asked, str) else ""
+            raise TypeError(f"medium: found {asked!r}, expected a Gas, a RealGas or a Liquid{hint}")
         return replace(self, gas=medium)
 
     def with_collapse(self, collapse: Collapse) -> "Machine":
@@ -221,7 +224,7 @@ class Machine:
             process = 1.0
         elif process == "adiabatic":
             process = EnergyBalance()
-        elif isinstance(process, str):
+        elif not isinstance(process, int | float | EnergyBalance):
             raise ValueError(
                 f'process: found {process!r}, expected "isothermal", "adiabatic", a polytropic exponent or an '
                 "EnergyBalance"

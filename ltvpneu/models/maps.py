@@ -21,6 +21,7 @@ from ltvpneu.models.ltv import OperatingPoints, ltv_model
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear import integration_settings, nonlinear_orbit, schedule_of
 from ltvpneu.models.runge_kutta import Run
+from ltvpneu.models.staircase import default_steps
 from ltvpneu.physics.valve import check_duty
 
 KINDS = ("unique", "band", "subharmonic", "chaotic", "failed")
@@ -138,7 +139,7 @@ def validity_map(
     duties: ArrayLike,
     frequencies: ArrayLike,
     *,
-    n_steps: int = 2,
+    n_steps: int | None = None,
     operating_points: OperatingPoints = "fitted",
     progress: Callable[[int], object] | None = None,
 ) -> ValidityMap:
@@ -154,6 +155,7 @@ def validity_map(
     [[0.1], [0.6]]
     """
     duty_grid, frequency_grid = grid_of(duties, frequencies)
+    n_steps = default_steps(machine) if n_steps is None else n_steps
     shape = (frequency_grid.size, duty_grid.size)
     amplitudes, errors = np.full(shape, np.nan), np.full(shape, np.nan)
     failures: list[FailedPoint] = []

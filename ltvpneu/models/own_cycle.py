@@ -27,7 +27,7 @@ from ltvpneu.models.nonlinear import integration_settings, rests_in_a_band, step
 from ltvpneu.models.quasi_static import nearest_source
 from ltvpneu.models.repeat import Repeated, repeat_march
 from ltvpneu.models.runge_kutta import Run
-from ltvpneu.models.staircase import staircase
+from ltvpneu.models.staircase import default_steps, staircase
 from ltvpneu.models.stopped import raise_stopped
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
@@ -121,7 +121,7 @@ def model_to_tolerance(question: Question, rtol: float, spacing: Spacing) -> Ltv
     NotConvergedError
         The estimate stays above `rtol` with `MOST_STEPS` steps, or a cycle was not found.
     """
-    n_steps, found = 2, None
+    n_steps, found = default_steps(question.machine), None
     while True:
         found = find_cycle(question, n_steps, spacing, found)
         model = as_model(found)

@@ -40,6 +40,10 @@ class Repeated(NamedTuple):
     last: Marched
 
 
+MANY_PERIODS, FLUTTER = 200, 1e-2
+"""Periods after which a change of that share of the tolerance, neither shrinking nor adding up, ends the search."""
+
+
 @compiled
 def _rests(marched: Marched, steps: Steps) -> bool:
     return bool((steps.table[: marched.n_steps, 1] == STUCK).any())
@@ -137,6 +141,9 @@ def _repeats_after(
         change = largest_change(now, history[(done - back) % ring], scales)
         changes[done % ring, back] = change
         best = min(best, change)
+        # After many periods, what neither drifts nor grows is the flutter that rounding or a table's seams leave.
+        if done >= MANY_PERIODS and back == 1 and max(change, drift) <= FLUTTER * tolerance:
+            return 1, change
         if is_settled(back, done, changes, drift, tolerance):
             return back, change
         # Steps that are cut one way and another in turn make a flutter too small to be a subharmonic.

@@ -44,7 +44,7 @@ def staircase(machine: Machine, n_steps: int) -> Staircase:
     n_steps = whole("n_steps", n_steps)
     table = machine.openings
     n_pieces = table.fractions.size - 1
-    n_positions = int(np.count_nonzero(table.jumps)) + 1
+    n_positions = _count_positions(table)
     if n_steps == n_positions - 1 and not (table.jumps == 0).any():
         n_steps = n_positions
     if n_steps < n_positions:
@@ -54,6 +54,15 @@ def staircase(machine: Machine, n_steps: int) -> Staircase:
         )
     fractions = _split(table, n_steps) if n_steps >= n_pieces else _merged(table, n_steps)
     return Staircase(read_only(fractions), read_only(step_means(table, fractions)))
+
+
+def default_steps(machine: Machine) -> int:
+    """Return the fewest steps of a staircase, two or as many as the valve has positions."""
+    return max(2, _count_positions(machine.openings))
+
+
+def _count_positions(table: OpeningTable) -> int:
+    return int(np.count_nonzero(table.jumps)) + 1
 
 
 def fine_staircase(machine: Machine, steps_per_ramp: int = 32) -> Staircase:

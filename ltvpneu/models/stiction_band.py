@@ -42,6 +42,11 @@ class StictionBand:
     highest: float
     """Position above which the piston is pushed down [m]."""
 
+    def __repr__(self) -> str:
+        if not self.exists:
+            return f"<StictionBand at {self.frequency:g} Hz: none, stiction holds the piston nowhere>"
+        return f"<StictionBand at {self.frequency:g} Hz: {self.lowest:.6g} to {self.highest:.6g} m>"
+
     @property
     def width(self) -> float:
         """Length of the interval [m]; zero where there is none."""

@@ -12,6 +12,8 @@ from ltvpneu.physics.real_gas import RealGas
 
 NEAR_VAPOR = 1e-3
 """Share of the supply pressure within which a pressure that stopped an integration counts as that of vapor [-]."""
+AT_EDGE = 1e-6
+"""Relative distance from the end of a gas's range at which its state counts as having left it [-]."""
 
 
 def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray) -> None:
@@ -40,15 +42,20 @@ def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray)
                 time=time,
                 state=state,
             )
-    if isinstance(machine.gas, RealGas) and status == LEFT_DOMAIN:
+    if isinstance(machine.gas, RealGas):
         insides = [gas_in_volume(k, state, arrays) for k in range(machine.n_volumes)]
-        here = min(insides, key=machine.gas.room)
-        raise GasRangeError(
-            f"the gas left the range of its properties at t = {time:.6g} s ({where}): {machine.gas.limits}. Give "
-            "RealGas a wider pressure_range or temperature_range",
-            pressure=here.pressure,
-            temperature=here.temperature,
-        )
+        rooms = [machine.gas.room(here) for here in insides]
+        nearest = int(np.argmin(rooms))
+        here = insides[nearest]
+        # Held at the edge of its table, a state may stop an integration in other ways too.
+        if status == LEFT_DOMAIN or rooms[nearest] < AT_EDGE:
+            raise GasRangeError(
+                f"the gas left the range of its properties at t = {time:.6g} s: found {chambers[nearest]} at "
+                f"{here.pressure:.6g} Pa and {here.temperature:.6g} K, expected {machine.gas.limits} ({where}). Give "
+                "RealGas a wider pressure_range or temperature_range (gas.pressure_range, gas.temperature_range)",
+                pressure=here.pressure,
+                temperature=here.temperature,
+            )
     reasons = {
         STEP_TOO_SMALL: "the step size fell below rounding",
         TOO_MANY_STEPS: "it took too many steps",

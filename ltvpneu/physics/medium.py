@@ -6,6 +6,7 @@ a path and its slopes; and where the medium's laws end. The ideal gas has its ow
 """
 
 import math
+import warnings
 from typing import NamedTuple
 
 from ltvpneu._arrays import FloatArray
@@ -16,6 +17,7 @@ from ltvpneu.physics.gas_table import in_table, real_flux_slopes, real_propertie
 from ltvpneu.physics.liquid import Liquid, liquid_flow_slopes, liquid_in_range, liquid_properties
 from ltvpneu.physics.properties import IDEAL, LIQUID, Properties
 from ltvpneu.physics.real_gas import RealGas
+from ltvpneu.physics.thermal import EnergyBalance
 
 Medium = Gas | RealGas | Liquid
 
@@ -39,6 +41,26 @@ class MediumArrays(NamedTuple):
     """Of an ideal gas, or of one like a real gas."""
     table: FloatArray
     """Parameters of a medium that is not an ideal gas."""
+
+
+def check_process(name: str, exponent: float, balance: EnergyBalance | None, medium: Medium) -> None:
+    """Raise for a liquid's thermal process; warn of a gas's that is none of heat exchanged with a wall.
+
+    `name` is that of the polytropic exponent.
+    """
+    if isinstance(medium, Liquid):
+        if exponent != 1.0 or balance is not None:
+            name = name if balance is None else name.replace("polytropic_exponent", "energy_balance")
+            raise ValueError(
+                f"{name}: found a thermal process of a liquid, whose compression has next to no heat; expected "
+                "exponent 1 and no energy_balance"
+            )
+    elif not 1.0 <= exponent <= medium.heat_capacity_ratio:
+        warnings.warn(
+            f"{name}: found {exponent:g}, outside 1 (isothermal) to {medium.heat_capacity_ratio:g} (adiabatic): a gas "
+            "that exchanges heat with its wall lies between; beyond, heat would flow from cold to warm",
+            stacklevel=5,
+        )
 
 
 @compiled
