@@ -17,6 +17,7 @@ from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.ramps import ramped
 from ltvpneu.periodic.steady import periodic_states
 from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.physics.liquid import Liquid
 
 OperatingPoints = Literal[
     "lti", "lti-position", "mean", "quasi-static", "quasi-static-steps", "fitted", "self-consistent"
@@ -60,7 +61,9 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
 
         "self-consistent": full tangents about the means of the model's own cycle over its steps, with dry friction and
         stiction; tends to the nonlinear model as steps are added. "fitted": likewise, but the pressure rates are fitted
-        over what each step visits (equivalent linearization), which is accurate with few steps.
+        over what each step visits (equivalent linearization), which is accurate with few steps. Of liquids, which swing
+        many times within a step, take "self-consistent". The multipliers of such a model's system are those of its
+        steps as they are; those of its cycle, whose steps follow it, come from `cycle_floquet`.
     tangent : {"paper", "full"}, optional
         See `linearize`; "paper" by default. Not for "fitted" and "self-consistent", which have their own.
     least_distance : float
@@ -70,12 +73,13 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
         largest, or even in time.
     rtol : float, optional
         Instead of `n_steps`: take as many steps, up to 2048, as make the estimated relative error of the position's
-        amplitude no larger. For "fitted", then the default, and "self-consistent".
+        amplitude no larger. For "fitted", then the default of gases, and "self-consistent", that of liquids.
     hold : {"zero", "first"}
         What an opening does over a step: stays at its mean, the staircase (10), or ramps as it does in the machine
-        (`ramped`), which has an error of fourth instead of second order in the steps' length. Then as many steps are
-        needed as the openings have linear pieces. Not for "fitted" and "self-consistent", whose operating points
-        leave an error of second order anyway.
+        (`ramped`), which has an error of fourth instead of second order in the steps' length, in the states between
+        steps (in means and extremes of pressures, and with two restrictions in series, of second order too). Then as
+        many steps are needed as the openings have linear pieces. Not for "fitted" and "self-consistent", whose
+        operating points leave an error of second order anyway.
 
     Returns
     -------
@@ -110,7 +114,8 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     if spacing not in ("adaptive", "even"):
         raise ValueError(f'spacing: found {spacing!r}, expected "adaptive" or "even"')
     if operating_points is None:
-        operating_points = "lti" if rtol is None else "fitted"
+        own = "self-consistent" if isinstance(machine.gas, Liquid) else "fitted"
+        operating_points = "lti" if rtol is None else own
     if isinstance(operating_points, str) and operating_points in ("fitted", "self-consistent"):
         if tangent is not None:
             raise ValueError(f"tangent: found {tangent!r}, but {operating_points!r} operating points have their own")

@@ -53,6 +53,20 @@ def test_the_error_has_the_stated_order(order, least):
         assert errors[-1] < 1e-7
 
 
+def test_means_have_second_order_only():
+    """Inside its parts a ramp is another system, whatever the order of the states between them."""
+    starts, ends = pair()
+
+    def means(parts: int) -> np.ndarray:
+        orbit = lp.steady_state(lp.ramped(starts, ends, parts=parts))
+        return np.array([orbit.mean(i) for i in range(3)])
+
+    exact = (4 * means(512) - means(256)) / 3
+    counts = [8, 16, 32, 64]
+    errors = [np.abs(means(k) - exact).max() for k in counts]
+    assert 1.8 < -np.polyfit(np.log(counts), np.log(errors), 1)[0] < 2.3
+
+
 def test_inputs_ramp_with_their_levels():
     starts, ends = (replace(system, levels=np.array([0.3, -0.7])) for system in pair())
     z = np.array([0.4, -1.0, 0.2])
