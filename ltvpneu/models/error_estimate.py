@@ -21,8 +21,9 @@ MOST_PRESSURE = 4.0
 """Highest pressure of a liquid that operating points are kept at, over that of the supply [-]."""
 LEAST_TEMPERATURE, MOST_TEMPERATURE = 0.3, 3.0
 """Range that temperatures of operating points are kept in, over that of the surroundings [-]."""
-HELD = 1e-2
-"""How far from the cycle its operating points may be held for an estimate, over the states' scales [-]."""
+HELD = 0.05
+"""How far from the cycle its operating points may be held for an estimate, in the time mean, over the states' scales
+[-]."""
 SETTLED, NEGLIGIBLE = 0.2, 2e-3
 """The defect is taken again, of the sum, until that moves the estimate by less than this share of it, or less than this
 share of the amplitude."""
@@ -127,8 +128,10 @@ class _Corrector:
         return self.inside((values[0] + 4 * values[1] + values[2]) / 6)
 
     def holds(self, points: FloatArray) -> bool:
-        """Return whether the equations hold at points, to within what the estimate is right to."""
-        return bool((np.abs(self.inside(points) - points) <= HELD * self.machine.state_scales).all())
+        """Return whether the equations hold at points (n_cells, n), to within what the estimate is right to."""
+        widths = np.diff(self.cells)
+        held = widths / widths.sum() @ np.abs(self.inside(points) - points)
+        return bool((held <= HELD * self.machine.state_scales).all())
 
     def inside(self, points: FloatArray) -> FloatArray:
         """Return operating points kept between the sources' pressures, and where volumes are well above zero."""

@@ -21,7 +21,7 @@ from ltvpneu.physics.thermal import EnergyBalance
 
 Medium = Gas | RealGas | Liquid
 
-LAMINAR = 1e-5
+LAMINAR = 1e-4
 """Relative difference of pressures within which a gas flows in proportion to it [-], where that is asked for."""
 ROUNDING = 1e-15
 """Relative drop of a pressure that is nothing but rounding [-]."""

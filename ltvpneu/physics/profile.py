@@ -29,7 +29,7 @@ class Profile:
 
     Examples
     --------
-    >>> half = Window(start=0.0, width=math.pi).profile
+    >>> half = Profile(angles=np.array([0.0, TURN / 2, TURN]), starts=np.array([1.0, 0.0]), ends=np.array([1.0, 0.0]))
     >>> half.mean(0.0, TURN)
     0.5
     """

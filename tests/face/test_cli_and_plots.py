@@ -120,7 +120,7 @@ def test_stability_exits_0_stable_1_not_stable_2_bad_input(arguments, code, monk
         # No machine with a spring and damping is unstable in this model; the exit code follows the verdict of the
         # multipliers.
         matrices = lp.PeriodicSystem.from_matrices([[[0.1]]], [[0.0]], [1.0])
-        monkeypatch.setattr("ltvpneu.face.cli.floquet", lambda system: lp.floquet(matrices))
+        monkeypatch.setattr("ltvpneu.face.cli.cycle_floquet", lambda model: lp.floquet(matrices))
         arguments = ["kunt_singh_1990", "--frequency", "4"]
     assert main(["stability", *arguments]) == code
     captured = capsys.readouterr()

@@ -210,7 +210,7 @@ def test_the_nonlinear_monodromy_with_saltation_equals_differences(table_1, duty
 
 
 def test_floquet_of_a_linear_models_cycle_is_refused_with_the_way_to_it(table_1):
-    with pytest.raises(TypeError, match=r"lp.floquet\(model.system\)"):
+    with pytest.raises(TypeError, match=r"lp.cycle_floquet\(model\)"):
         lp.orbit_floquet(table_1, lp.ltv_model(table_1, 4.0).orbit)
 
 
