@@ -292,9 +292,12 @@ def remarks(orbit: Orbit, machine: Machine, band: StictionBand | None = None) ->
         found.append("passes the end stops")
     elif low <= lower + tolerance or high >= upper - tolerance:
         found.append("rests on an end stop")
-    for name in machine.states[2:]:
+    lowest = machine.gas.vapor_pressure if isinstance(machine.gas, Liquid) else 0.0
+    for name in machine.states[2 : 2 + machine.n_volumes]:
         if orbit.minimum(name) <= 0:
             found.append(f"{name.replace('_', ' ')} below vacuum")
+        elif orbit.minimum(name) < lowest:
+            found.append(f"{name.replace('_', ' ')} below vapor pressure")
         elif orbit.minimum(name) < 0.98 * machine.exhaust_pressure:
             found.append(f"{name.replace('_', ' ')} below exhaust")
         if orbit.maximum(name) > 1.02 * machine.supply_pressure:

@@ -105,6 +105,13 @@ class LinearCycle:
         rows = [_row(figure, known.get(row), n) for row, figure in enumerate(asked)]
         sizes = np.append(scales, 1.0)[[column for _, column in rows]]
         values = [means[column] if k is None else base.values[k, column] for k, column in rows]
+        if not np.isfinite(values).all():
+            raise NotConvergedError(
+                f"a figure of the {self.question.mode} model's cycle at {self.question.frequency:g} Hz and duty "
+                f"{self.question.machine.duty:.4g} is not finite: the cycle leaves the range of the medium's laws",
+                residual=self.repeated.residual,
+                iterations=self.repeated.n_marched,
+            )
 
         def differentiate() -> Slopes:
             along = np.tile(slopes(), (self.n_turns, 1))

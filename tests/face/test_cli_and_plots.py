@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 import ltvpneu as lp
 from ltvpneu.face import study_design
 from ltvpneu.face.cli import main
+from ltvpneu.face.report import remarks
 
 
 @pytest.fixture(autouse=True)
@@ -311,3 +313,51 @@ def test_sensitivities_are_drawn_as_the_change_for_one_percent():
     bars = [bar.get_width() for bar in lp.plot(found).axes[0].patches]
     assert len(bars) == 8
     assert bars[0] == pytest.approx(10 * 0.5 * found.amplitude("position", "duty"))
+
+
+PROPORTIONAL = """
+[valve]
+type = "proportional"
+command = [["0 deg", -0.8], ["126 deg", 1.0], ["216 deg", 0.3]]
+"""
+
+
+def test_a_proportional_valve_is_studied_without_duty_maps(tmp_path, capsys):
+    text = (files("ltvpneu") / "machines/double_acting_5_2.toml").read_text(encoding="utf-8")
+    begin = text.index("[valve]")
+    end = text.index("\n[", begin + 1)
+    path = tmp_path / "proportional.toml"
+    path.write_text(text[:begin] + PROPORTIONAL + text[end:], encoding="utf-8")
+    arguments = ["study", str(path), "--frequency", "6", "--points", "3", "--out", str(tmp_path / "out")]
+    assert main(arguments) == 0
+    assert "The valve is proportional" in capsys.readouterr().out
+    assert (tmp_path / "out" / "study.json").exists()
+    assert not (tmp_path / "out" / "duty_map.png").exists()
+
+
+def test_warnings_and_a_missing_library_are_lines_not_tracebacks(tmp_path, capsys, monkeypatch):
+    text = (files("ltvpneu") / "machines/kunt_singh_1990.toml").read_text(encoding="utf-8")
+    path = tmp_path / "steep.toml"
+    path.write_text(text.replace("polytropic_exponent_1 = 1.0", "polytropic_exponent_1 = 1.7"), encoding="utf-8")
+    assert main(["stability", str(path), "--frequency", "4"]) == 0
+    error = capsys.readouterr().err
+    assert error.startswith("ltvpneu stability: warning: steep.toml: cylinder.polytropic_exponent_1: found 1.7")
+    assert "Traceback" not in error
+    assert "warnings.warn" not in error
+
+    def missing(name: str):
+        raise ImportError("real gas needs CoolProp: pip install 'ltvpneu[gas]'")
+
+    monkeypatch.setattr("ltvpneu.face.cli.load_machine", missing)
+    assert main(["stability", str(path), "--frequency", "4"]) == 2
+    assert "error: real gas needs CoolProp" in capsys.readouterr().err
+
+
+def test_remarks_on_pressures_do_not_fall_on_temperatures(table_1):
+    machine = table_1.with_thermal("adiabatic")
+    assert not any("temperature" in remark for remark in remarks(lp.nonlinear_orbit(machine, 4.0), machine))
+
+
+def test_an_empty_stiction_band_says_none(table_1):
+    assert "none" in repr(lp.stiction_band(table_1, 2.0))
+    assert "m>" in repr(lp.stiction_band(table_1.with_duty(0.7), 20.0))

@@ -18,7 +18,7 @@ from ltvpneu.models.quasi_static import settled_states
 from ltvpneu.models.staircase import staircase
 from ltvpneu.models.tangent import state_tangent
 from ltvpneu.physics.gas import GasState
-from ltvpneu.physics.medium import path_flow_slopes
+from ltvpneu.physics.medium import path_flow, path_flow_slopes
 from tests.conftest import EXTENSIONS, MACHINES
 from tests.models.test_linearize import differences, input_differences, rate, relative_error
 
@@ -313,6 +313,28 @@ def test_a_restriction_much_wider_than_the_other_is_none(table_1, gas, ratio, na
         np.testing.assert_allclose(found, alone, rtol=20 / ratio + 1e-6, atol=1e-7 * abs(alone[0]) / 4e5)
 
 
+@pytest.mark.parametrize("gas", [AIR, lp.RealGas(fluid="Air")], ids=["ideal", "real"])
+@pytest.mark.parametrize("collapse", ["minimum", "in_series"])
+@pytest.mark.parametrize("share", [3e-6, 5e-5, 9e-5])
+@pytest.mark.parametrize("reverse", [True, False])
+def test_slopes_of_the_laminar_flow_equal_differences(table_1, gas, collapse, share, reverse):
+    medium = table_1.with_gas(gas).with_collapse(collapse).with_thermal("adiabatic").arrays.medium
+    areas = (3e-6, 2e-6) if collapse == "in_series" else (3e-6, math.inf)
+    base = np.array([4e5, 4e5 * (1 - share), 280.0, 320.0])
+    if reverse:
+        base[:2] = base[1], base[0]
+
+    def flow(values: np.ndarray) -> float:
+        return path_flow(*areas, GasState(values[0], values[2]), GasState(values[1], values[3]), medium)
+
+    steps = np.diag([0.02, 0.02, 0.1, 0.1])
+    slopes = [(flow(base + step) - flow(base - step)) / (2 * step.max()) for step in steps]
+    found = path_flow_slopes(*areas, GasState(base[0], base[2]), GasState(base[1], base[3]), medium)
+    assert found[0] == pytest.approx(flow(base), rel=1e-12)
+    np.testing.assert_allclose(found[1:3], slopes[:2], rtol=2e-5)
+    assert found[3] == pytest.approx(slopes[3 if reverse else 2], rel=1e-5)
+
+
 def test_what_stops_a_march_through_linear_steps_is_named_as_in_the_nonlinear_model():
     machine = lp.load_machine("hydraulic_4_2")
     machine = replace(machine, exhaust_pressure=1.5e5, gas=replace(machine.gas, entrained_gas=0.0))
@@ -482,3 +504,44 @@ def test_a_gas_that_leaves_its_range_says_so(table_1):
 def test_the_balance_wants_an_orbit_of_the_same_machine(table_1):
     with pytest.raises(ValueError, match="orbit: found states position, velocity, pressure_1, expected"):
         lp.balance(EXTENSIONS["adiabatic"], lp.nonlinear_orbit(table_1, 4.0))
+
+
+def test_balances_want_an_orbit_of_the_machine(table_1):
+    orbit = lp.nonlinear_orbit(table_1, 4.0)
+    for machine, other in ((table_1.with_supply_pressure(6e5), orbit), (table_1, lp.ltv_model(table_1, 4.0).orbit)):
+        with pytest.raises(ValueError, match="to whose beginning the machine does not return"):
+            lp.balance(machine, other)
+
+
+def test_things_a_machine_cannot_be_are_named(table_1, double_acting):
+    with pytest.raises(ValueError, match='collapse: found "dynamic" of a valve without inner volumes'):
+        double_acting.with_collapse("dynamic")
+    with pytest.raises(TypeError, match=r"medium: found 'Nitrogen', expected .*RealGas\(fluid=\"Nitrogen\"\)"):
+        table_1.with_gas("Nitrogen")
+    with pytest.raises(ValueError, match="process: found None, expected"):
+        table_1.with_thermal(None)
+    with pytest.raises(ValueError, match="cylinder.energy_balance_1: found a thermal process of a liquid"):
+        table_1.with_gas(lp.Liquid()).with_thermal("adiabatic")
+    with pytest.warns(UserWarning, match=r"gas.temperature: found 25 K; was that meant in degrees"):
+        table_1.with_gas(lp.Gas(temperature=25.0))
+
+
+def test_a_gas_that_leaves_its_table_is_named_with_its_volume(table_1):
+    narrow = lp.RealGas(fluid="Air", temperature_range=(285.0, 300.0))
+    with pytest.raises(GasRangeError, match=r"found chamber_1 at .* Pa and .* K, expected .*gas.temperature_range"):
+        lp.nonlinear_orbit(table_1.with_gas(narrow).with_thermal(1.3), 4.0)
+
+
+def test_paths_do_not_come_and_go_with_the_duty(table_1):
+    for collapse in ("minimum", "in_series", "dynamic"):
+        machine = table_1.with_collapse(collapse)
+        assert len({len(machine.with_duty(duty).connections) for duty in (0.0, 0.5, 1.0)}) == 1
+
+
+def test_the_default_steps_are_as_many_as_the_valve_has_positions(table_1):
+    machine = table_1.with_collapse("dynamic").with_offset(math.radians(20))
+    n_positions = lp.ltv_model(machine, 4.0).system.n_steps
+    assert n_positions > 2
+    with pytest.raises(ValueError, match=f"expected at least {n_positions}"):
+        lp.ltv_model(machine, 4.0, n_steps=2)
+    assert lp.ltv_model(machine, 4.0, rtol=0.05).system.n_steps >= n_positions
