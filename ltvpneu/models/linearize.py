@@ -62,7 +62,8 @@ def linearize(
         where there is no second.
     tangent : {"paper", "full"}
         The paper's G (8b), whose pressure rows are those at rest and have no column for the position; or every
-        derivative. Dry friction is neglected.
+        derivative. Dry friction is neglected; so is, in B, that the reference of a polytropic chamber's temperature (4)
+        moves with the exhaust pressure.
 
     Returns
     -------
@@ -71,7 +72,8 @@ def linearize(
     Raises
     ------
     ValueError
-        A pressure equals that of a source which it is open to: the flow's slope is infinite there.
+        An ideal gas's pressure equals that of a source which it is open to, where flow is never laminar: its slope is
+        infinite there.
 
     Examples
     --------

@@ -153,10 +153,10 @@ def _require_gas(equation: EquationOfState, fluid: str, pressure: float, tempera
 
 
 @lru_cache(maxsize=64)
-def ratios(fluid: str, temperature: float) -> tuple[float, float]:
-    """Return c_p / c_v and r_c at 1.01325 bar."""
+def ratios(fluid: str, temperature: float, pressure: float) -> tuple[float, float]:
+    """Return c_p / c_v and r_c."""
     equation = EquationOfState(fluid)
-    _require_gas(equation, fluid, STANDARD_PRESSURE, temperature)
-    rest = equation.at_rest(STANDARD_PRESSURE, temperature)
+    _require_gas(equation, fluid, pressure, temperature)
+    rest = equation.at_rest(pressure, temperature)
     gamma = float(equation.gas.cpmass() / equation.gas.cvmass())
-    return gamma, equation.throat(rest, temperature).pressure / STANDARD_PRESSURE
+    return gamma, equation.throat(rest, temperature).pressure / pressure

@@ -36,7 +36,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, positive
 from ltvpneu.errors import GasRangeError
-from ltvpneu.physics.equation_of_state import EquationOfState, Range, limits, ratios
+from ltvpneu.physics.equation_of_state import STANDARD_PRESSURE, EquationOfState, Range, limits, ratios
 from ltvpneu.physics.gas import Gas, GasConstants, GasState
 from ltvpneu.physics.gas_table import R_GAS, gas_table, real_critical_ratio, real_flux, real_properties
 from ltvpneu.physics.properties import REAL
@@ -116,7 +116,7 @@ class RealGas:
 
     @property
     def constants(self) -> GasConstants:
-        """Constants of the ideal gas that is like it at 1.01325 bar."""
+        """Constants of the ideal gas that is like it at `reference_pressure`."""
         like = Gas(
             heat_capacity_ratio=self.heat_capacity_ratio,
             specific_gas_constant=self.specific_gas_constant,
@@ -151,14 +151,20 @@ class RealGas:
         return float(self.table[R_GAS])
 
     @property
+    def reference_pressure(self) -> float:
+        """1.01325 bar, or what is nearest to it in `pressure_range` [Pa]."""
+        low, high = self.pressure_range
+        return min(max(STANDARD_PRESSURE, low), high)
+
+    @property
     def heat_capacity_ratio(self) -> float:
-        """c_p / c_v at `temperature` and 1.01325 bar [-]."""
-        return ratios(self.fluid, self.temperature)[0]
+        """c_p / c_v at `temperature` and `reference_pressure` [-]."""
+        return ratios(self.fluid, self.temperature, self.reference_pressure)[0]
 
     @property
     def critical_pressure_ratio(self) -> float:
-        """r_c below which the flow from `temperature` and 1.01325 bar is choked [-]."""
-        return ratios(self.fluid, self.temperature)[1]
+        """r_c below which the flow from `temperature` and `reference_pressure` is choked [-]."""
+        return ratios(self.fluid, self.temperature, self.reference_pressure)[1]
 
     @property
     def table(self) -> FloatArray:

@@ -345,13 +345,6 @@ def test_what_is_no_gas_is_refused_with_its_state(changes, message):
     assert caught.value.temperature > 0
 
 
-def test_no_ratio_at_standard_pressure_of_what_is_a_liquid_there():
-    steam = RealGas(fluid="Water", temperature=350.0, pressure_range=(200.0, 800.0), temperature_range=(340.0, 400.0))
-    assert steam.table.size
-    with pytest.raises(GasRangeError, match="Water at 101325 Pa and 350 K"):
-        _ = steam.heat_capacity_ratio
-
-
 def test_a_range_too_rough_for_the_nodes_at_hand_is_refused(monkeypatch):
     monkeypatch.setattr(gas_table, "NODES", ((8, 6),))
     gas = replace(RealGas(fluid="CO2"), pressure_range=(0.3e5, 20e5))
@@ -364,3 +357,11 @@ def test_without_coolprop_the_error_says_how_to_get_it(monkeypatch):
     # A temperature that no other test has, for what was checked once is remembered.
     with pytest.raises(ImportError, match=r"pip install 'ltvpneu\[gas\]'"):
         RealGas(fluid="Air", temperature=291.0)
+
+
+def test_a_vapour_far_below_one_atmosphere_is_taken_at_its_own_pressures(table_1):
+    steam = RealGas(fluid="Water", temperature=350.0, pressure_range=(200.0, 800.0), temperature_range=(340.0, 400.0))
+    assert steam.reference_pressure == 800.0
+    assert steam.heat_capacity_ratio == pytest.approx(1.33, abs=0.01)
+    machine = replace(table_1, gas=steam, supply_pressure=700.0, exhaust_pressure=300.0)
+    assert machine.gas is steam
