@@ -24,7 +24,7 @@ from ltvpneu.design.solving import TIGHT
 from ltvpneu.design.subproblem import stacked
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycle_figures import Figure
-from ltvpneu.models.linear_cycles import LinearCycles
+from ltvpneu.models.linear_figures import LinearCycles
 from ltvpneu.models.nonlinear_figures import NonlinearCycles
 from ltvpneu.models.parameters import present_value
 

@@ -32,7 +32,7 @@ from ltvpneu.design.subproblem import BlockFigures, FigureBlock, Search, Subprob
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycle_figures import CycleFigures, Figure
-from ltvpneu.models.linear_cycles import LinearCycles
+from ltvpneu.models.linear_figures import LinearCycles
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear_figures import NonlinearCycles

@@ -1,6 +1,6 @@
 """Figures of a machine's cycle, and their derivatives over anything that a designer sets.
 
-Means, extremes, samples and the mass flow from the supply; of refitted linear models (`linear_cycles`) or of the
+Means, extremes, samples and the mass flow from the supply; of refitted linear models (`linear_figures`) or of the
 nonlinear one (`nonlinear_figures`).
 """
 

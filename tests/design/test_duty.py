@@ -12,7 +12,7 @@ import ltvpneu as lp
 from ltvpneu import design
 from ltvpneu.errors import LtvpneuError, NotConvexError
 from ltvpneu.models.cycle_figures import Figure
-from ltvpneu.models.linear_cycles import LinearCycles
+from ltvpneu.models.linear_figures import LinearCycles
 from ltvpneu.models.nonlinear_figures import NonlinearCycles
 
 FIGURES = [Figure("mean", 0), Figure("minimum", 0), Figure("maximum", 0), Figure("air_use")]

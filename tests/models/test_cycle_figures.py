@@ -9,7 +9,7 @@ import pytest
 import ltvpneu as lp
 from ltvpneu.errors import NonUniqueOrbitError
 from ltvpneu.models.cycle_figures import Figure
-from ltvpneu.models.linear_cycles import LinearCycles
+from ltvpneu.models.linear_figures import LinearCycles
 from ltvpneu.models.nonlinear_figures import NonlinearCycles
 from ltvpneu.models.parameters import present_value
 
