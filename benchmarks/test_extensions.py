@@ -12,6 +12,7 @@ import ltvpneu as lp
 from benchmarks.conftest import ratio
 from ltvpneu.models.integrator import integrate_period
 from ltvpneu.models.nonlinear import integration_settings, schedule_of
+from ltvpneu.models.own_cycle import OwnCycle
 from ltvpneu.models.runge_kutta import Run
 
 FREQUENCY = 4.0
@@ -56,11 +57,11 @@ def test_what_the_short_cuts_spare(benchmark: BenchmarkFixture, table_1: lp.Mach
 
 
 @pytest.mark.parametrize("mode", ["fitted", "self-consistent"])
-def test_linear_models_of_the_extensions(benchmark: BenchmarkFixture, table_1: lp.Machine, mode: str) -> None:
+def test_linear_models_of_the_extensions(benchmark: BenchmarkFixture, table_1: lp.Machine, mode: OwnCycle) -> None:
     n_steps = 2 if mode == "fitted" else 40
 
     def model(machine: lp.Machine) -> lp.LtvModel:
-        return lp.ltv_model(machine, FREQUENCY, n_steps=n_steps, operating_points=mode)  # type: ignore[arg-type]
+        return lp.ltv_model(machine, FREQUENCY, n_steps=n_steps, operating_points=mode)
 
     print()
     for name, machine in extended(table_1).items():

@@ -61,7 +61,7 @@ def first_points(machine: Machine, frequency: float) -> FloatArray:
 
 
 def _held(machine: Machine, points: FloatArray) -> FloatArray:
-    """Return the points with pressures kept inside the sources', and the position where the chambers are."""
+    """Return the points at rest, with pressures kept inside the sources'."""
     low, high = machine.exhaust_pressure, machine.supply_pressure
     points = points.copy()
     points[:, 1] = 0.0
@@ -103,7 +103,11 @@ def state_bounds(slots: Slots, n_slots: int) -> tuple[FloatArray, FloatArray]:
     patterns[0], patterns[1] = False, True
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     for pattern in patterns.astype(int):
-        states = pattern_states(slots, pattern)
+        try:
+            states = pattern_states(slots, pattern)
+        except np.linalg.LinAlgError:
+            # Always off, say, a volume inside the valve stays shut, and any pressure in it is a cycle.
+            continue
         low, high = np.minimum(low, states.min(axis=0)), np.maximum(high, states.max(axis=0))
     span = np.maximum(high - low, 1e-6)
     return low - span, high + span

@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("default")
+            warnings.simplefilter("default", UserWarning)
             warnings.showwarning = show
             return options.run(options)
     except (LtvpneuError, ValueError, TypeError, OSError, ImportError) as error:

@@ -5,15 +5,13 @@ operating points too, and where a step covers a bend, as at an end stop, only th
 steps kept as they are, their product may grow without bound where the machine is as stable as can be.
 """
 
-import numpy as np
+from dataclasses import replace
 
 from ltvpneu._arrays import FloatArray, read_only
-from ltvpneu.errors import NotConvergedError
-from ltvpneu.models.integrator import OK
 from ltvpneu.models.linearize import LtvModel
-from ltvpneu.models.march import march_period
-from ltvpneu.models.own_cycle import Found, new_steps
-from ltvpneu.models.parameters import STATE_STEP, TOLERANCE
+from ltvpneu.models.machine import Machine
+from ltvpneu.models.own_cycle import Found
+from ltvpneu.models.parameters import STATE_STEP, TOLERANCE, march_beside, slopes_along_turn
 from ltvpneu.models.variational import OrbitFloquet
 from ltvpneu.periodic.floquet import Floquet, floquet
 from ltvpneu.periodic.product import product_multipliers
@@ -50,29 +48,17 @@ def cycle_floquet(model: LtvModel) -> Floquet | OrbitFloquet:
     found = model.found
     if not isinstance(found, Found):
         return floquet(model.system)
-    plan, steps = found.question.plan(found.cells, TOLERANCE), new_steps(found.question, found.cells)
-    scales = model.machine.state_scales
-    n = scales.size
+    question, scales = found.question, model.machine.state_scales
 
-    def end(start: FloatArray) -> FloatArray:
-        state = np.append(start, 1.0)
-        for _ in range(found.repeated.n_periods):
-            marched = march_period(state, plan, steps)
-            if marched.status != OK:
-                raise NotConvergedError(
-                    f"the march next to the {model.mode} model's cycle at {model.frequency:g} Hz did not come through, "
-                    "so its stability is not known; take other steps, or lp.orbit_floquet of the nonlinear orbit",
-                    residual=marched.defect,
-                    iterations=1,
-                )
-            state = marched.state.copy()
-        return state[:-1]
+    def end(start: FloatArray, machine: Machine, frequency: float) -> FloatArray:
+        same = replace(question, machine=machine, frequency=frequency)
+        return march_beside(start, same, found.cells, found.repeated.n_periods)[0]
 
-    start, moves = model.orbit.initial_state / scales, STATE_STEP * np.eye(n)
-    scaled = np.column_stack([(end(start + move) - end(start - move)) / (2 * STATE_STEP) for move in moves])
+    at = model.machine, model.frequency, model.orbit.initial_state
+    monodromy = slopes_along_turn(end, at, ()).by_state
     return OrbitFloquet(
         orbit=model.orbit,
-        product=product_multipliers([scaled]),
-        monodromy=read_only(scaled * scales[:, None] / scales),
+        product=product_multipliers([monodromy * scales / scales[:, None]]),
+        monodromy=read_only(monodromy),
         margin=MARGIN,
     )

@@ -5,7 +5,6 @@ rotary valves, bleed orifices and leakage past the piston are the same code.
 """
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,16 +28,13 @@ from ltvpneu.physics.gas import Gas, GasState
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
-from ltvpneu.physics.medium import LAMINAR, Medium, MediumArrays, check_process
+from ltvpneu.physics.medium import LAMINAR, Medium, MediumArrays, check_process, warn_if_cold
 from ltvpneu.physics.proportional import Command, ProportionalValve
 from ltvpneu.physics.real_gas import RealGas
 from ltvpneu.physics.thermal import EnergyBalance
 from ltvpneu.physics.valve import OnOffValve, RotaryValve
 
 Valve = RotaryValve | OnOffValve | ProportionalValve
-
-COLDEST_EXPECTED = 100.0
-"""Temperature below which a number is more likely degrees than kelvin [K]."""
 
 
 @final
@@ -128,8 +124,7 @@ class Machine:
 
     def _check_medium(self) -> None:
         gas, cylinder = self.gas, self.cylinder
-        if gas.temperature < COLDEST_EXPECTED:
-            warnings.warn(f"gas.temperature: found {gas.temperature:g} K; was that meant in degrees?", stacklevel=4)
+        warn_if_cold("gas.temperature", gas.temperature)
         processes = [
             *((f"cylinder.polytropic_exponent_{name[-1]}", *cylinder.process(name)) for name in cylinder.chambers),
             *((f"valve.inner_volumes: {v.name}", v.polytropic_exponent, v.energy_balance) for v in self.inner_volumes),

@@ -23,7 +23,7 @@ from ltvpneu.errors import NonUniqueOrbitError, NotConvergedError
 from ltvpneu.models.integrator import OK, Record, integrate_period
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.march import march_period
+from ltvpneu.models.march import Steps, march_period
 from ltvpneu.models.nonlinear import (
     DormandPrince,
     integration_settings,
@@ -32,7 +32,7 @@ from ltvpneu.models.nonlinear import (
     schedule_of,
     trajectory_of,
 )
-from ltvpneu.models.own_cycle import MAX_PERIODS, Found, new_steps, retabled, trajectory_of_steps
+from ltvpneu.models.own_cycle import MAX_PERIODS, Found, Question, new_steps, retabled, trajectory_of_steps
 from ltvpneu.models.repeat import repeat_march
 from ltvpneu.models.runge_kutta import Run
 from ltvpneu.models.stopped import raise_stopped
@@ -149,19 +149,8 @@ def parameter_sensitivity(model: LtvModel, parameters: Sequence[str] = PARAMETER
     def period(start: FloatArray, machine: Machine, frequency: float) -> tuple[FloatArray, Trajectory]:
         question = replace(found.question, machine=machine, frequency=frequency)
         cells = retabled(found.cells, model.machine.openings, machine.openings)
-        plan, steps, states, parts = question.plan(cells, TOLERANCE), new_steps(question, cells), start / scales, []
-        state = np.append(states, 1.0)
-        for _ in range(n_periods):
-            marched = march_period(state, plan, steps)
-            if marched.status != OK:
-                raise NotConvergedError(
-                    "parameters: the march next to the cycle did not come through; take the derivative elsewhere",
-                    residual=marched.defect,
-                    iterations=1,
-                )
-            parts.append(type(steps)(*(part[: marched.n_steps].copy() for part in steps)))
-            state = marched.state
-        return state[:-1] * scales, trajectory_of_steps(machine, parts)
+        end, parts = march_beside(start, question, cells, n_periods)
+        return end, trajectory_of_steps(machine, parts)
 
     plan, steps = found.question.plan(found.cells, TOLERANCE), new_steps(found.question, found.cells)
     start = np.append(model.orbit.initial_state / scales, 1.0)
@@ -176,6 +165,33 @@ def parameter_sensitivity(model: LtvModel, parameters: Sequence[str] = PARAMETER
     return _along_the_cycle(
         slopes_along_turn(_figures_of(period), at, parameters), machine, model.frequency, parameters
     )
+
+
+def march_beside(
+    start: FloatArray, question: Question, cells: FloatArray, n_periods: int
+) -> tuple[FloatArray, list[Steps]]:
+    """March a fitted or self-consistent model over some periods, tightly; return the end and each period's steps.
+
+    Raises
+    ------
+    NotConvergedError
+        The march did not come through.
+    """
+    plan, steps = question.plan(cells, TOLERANCE), new_steps(question, cells)
+    scales = question.machine.state_scales
+    state, parts = np.append(start / scales, 1.0), list[Steps]()
+    for _ in range(n_periods):
+        marched = march_period(state, plan, steps)
+        if marched.status != OK:
+            raise NotConvergedError(
+                f"the march next to the {question.mode} model's cycle at {question.frequency:g} Hz did not come "
+                "through, so it has no derivative here; take it elsewhere, or of the nonlinear model",
+                residual=marched.defect,
+                iterations=1,
+            )
+        parts.append(Steps(*(part[: marched.n_steps].copy() for part in steps)))
+        state = marched.state
+    return state[:-1] * scales, parts
 
 
 def nonlinear_sensitivity(

@@ -22,7 +22,12 @@ from ltvpneu.physics.thermal import EnergyBalance
 Medium = Gas | RealGas | Liquid
 
 LAMINAR = 1e-4
-"""Relative difference of pressures within which a gas flows in proportion to it [-], where that is asked for."""
+"""Relative difference of pressures within which a gas flows in proportion to it [-], where that is asked for.
+
+The stiffness at that edge falls with its root; orbits of Table 1's machine move by 1e-6 against an edge ten times
+nearer, by 1e-4 at one ten times further."""
+COLDEST_EXPECTED = 100.0
+"""Temperature below which a number is more likely degrees than kelvin [K]."""
 ROUNDING = 1e-15
 """Relative drop of a pressure that is nothing but rounding [-]."""
 
@@ -43,11 +48,24 @@ class MediumArrays(NamedTuple):
     """Parameters of a medium that is not an ideal gas."""
 
 
+def warn_if_cold(name: str, temperature: float) -> None:
+    """Warn of a temperature that is more likely meant in degrees than in kelvin."""
+    if temperature < COLDEST_EXPECTED:
+        warnings.warn(
+            f"{name}: found {temperature:g} K, expected kelvin; was {temperature:g} degC meant, which is "
+            f"{temperature + 273.15:g} K?",
+            stacklevel=6,
+        )
+
+
 def check_process(name: str, exponent: float, balance: EnergyBalance | None, medium: Medium) -> None:
     """Raise for a liquid's thermal process; warn of a gas's that is none of heat exchanged with a wall.
 
     `name` is that of the polytropic exponent.
     """
+    if balance is not None and balance.wall_temperature is not None:
+        where = name.replace("polytropic_exponent", "energy_balance")
+        warn_if_cold(f"{where}.wall_temperature", balance.wall_temperature)
     if isinstance(medium, Liquid):
         if exponent != 1.0 or balance is not None:
             name = name if balance is None else name.replace("polytropic_exponent", "energy_balance")

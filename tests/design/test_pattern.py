@@ -107,3 +107,12 @@ def test_pictures(machine):
     found = design.optimize_pattern(machine, 4.0, 6, mean={"position": (0.03, 0.06)}, refit=False)
     assert len(lp.plot(found).axes) == 2
     assert len(lp.plot(design.optimize_duty(machine, 12.0, mean={"position": 0.045})).axes) == 2
+
+
+def test_a_valve_with_an_inner_volume_has_patterns_though_always_off_it_has_no_cycle():
+    machine = lp.load_machine("kunt_singh_1990").with_collapse("dynamic")
+    found = design.optimize_pattern(machine, 10.0, 8, mean={"position": (0.04, 0.05)})
+    assert found.status == "optimal"
+    assert found.system is not None
+    assert 0.04 <= lp.steady_state(found.system).mean("position") <= 0.05
+    assert not isinstance(found.nonlinear, str)

@@ -522,8 +522,10 @@ def test_things_a_machine_cannot_be_are_named(table_1, double_acting):
         table_1.with_thermal(None)
     with pytest.raises(ValueError, match="cylinder.energy_balance_1: found a thermal process of a liquid"):
         table_1.with_gas(lp.Liquid()).with_thermal("adiabatic")
-    with pytest.warns(UserWarning, match=r"gas.temperature: found 25 K; was that meant in degrees"):
+    with pytest.warns(UserWarning, match=r"gas.temperature: found 25 K, expected kelvin; was 25 degC meant"):
         table_1.with_gas(lp.Gas(temperature=25.0))
+    with pytest.warns(UserWarning, match=r"cylinder.energy_balance_1.wall_temperature: found 20 K, expected kelvin"):
+        table_1.with_thermal(lp.EnergyBalance(heat_transfer_coefficient=1.0, wall_area=1.0, wall_temperature=20.0))
 
 
 def test_a_gas_that_leaves_its_table_is_named_with_its_volume(table_1):
