@@ -130,10 +130,10 @@ class Tally:
         self.periods.append(model.iterations)
         if orbit is None:
             return
-        if (orbit.is_unique, orbit.n_periods) != (model.orbit.is_unique, model.orbit.n_periods):
+        if (orbit.is_isolated, orbit.n_periods) != (model.orbit.is_isolated, model.orbit.n_periods):
             self.mislabelled.append(place)
         true = orbit.amplitude(0)
-        if orbit.is_unique and orbit.n_periods == 1 and true >= 1e-3:
+        if orbit.is_isolated and orbit.n_periods == 1 and true >= 1e-3:
             error = model.orbit.amplitude(0) / true - 1
             self.errors.append((error, model.error_estimate.relative_amplitude(0)))
 
@@ -170,7 +170,7 @@ def test_models_over_duty_and_frequency(benchmark: BenchmarkFixture, table_1: lp
                 machine, orbit = table_1.with_duty(duty), None
                 try:
                     orbit = lp.nonlinear_orbit(machine, frequency)
-                    kind = "band" if not orbit.is_unique else "subharmonic" if orbit.n_periods > 1 else "unique"
+                    kind = "band" if not orbit.is_isolated else "subharmonic" if orbit.n_periods > 1 else "unique"
                 except lp.NotSettledError:
                     kind = "not settling"
                 kinds[kind] += 1

@@ -21,19 +21,22 @@ from ltvpneu.errors import (
 from ltvpneu.face.machine_file import load_machine
 from ltvpneu.face.plots import plot
 from ltvpneu.models.amplitude import AmplitudeResponse, amplitude_response
+from ltvpneu.models.attractors import Attractors, attractors
 from ltvpneu.models.balance import Balance, balance
 from ltvpneu.models.connections import FlowPath
 from ltvpneu.models.cycle_floquet import cycle_floquet
 from ltvpneu.models.error_estimate import ErrorEstimate
+from ltvpneu.models.failed_point import FailedPoint
 from ltvpneu.models.linearize import Linearization, LtvModel, linearize
 from ltvpneu.models.lti import lti_model
 from ltvpneu.models.ltv import ltv_model
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.maps import OrbitMap, ValidityMap, orbit_map, validity_map
 from ltvpneu.models.nonlinear import DormandPrince, RungeKutta4, nonlinear_orbit, simulate
+from ltvpneu.models.orbit_map import Branch, OrbitMap, orbit_map
 from ltvpneu.models.parameters import ParameterSensitivity, nonlinear_sensitivity, parameter_sensitivity
 from ltvpneu.models.stiction_band import StictionBand, stiction_band
-from ltvpneu.models.variational import OrbitFloquet, orbit_floquet
+from ltvpneu.models.validity_map import ValidityMap, validity_map
+from ltvpneu.models.variational import orbit_floquet
 from ltvpneu.periodic.floquet import Floquet, floquet, monodromy
 from ltvpneu.periodic.gramians import Gramians, gramians
 from ltvpneu.periodic.harmonic import frequency_response, harmonic_transfer
@@ -69,7 +72,9 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AmplitudeResponse",
+    "Attractors",
     "Balance",
+    "Branch",
     "CavitationError",
     "ChamberVolumeError",
     "Command",
@@ -78,6 +83,7 @@ __all__ = [
     "EnergyBalance",
     "ErrorEstimate",
     "Estimator",
+    "FailedPoint",
     "Floquet",
     "FlowPath",
     "Gas",
@@ -102,7 +108,6 @@ __all__ = [
     "NotStableError",
     "OnOffValve",
     "Orbit",
-    "OrbitFloquet",
     "OrbitMap",
     "ParameterSensitivity",
     "PeriodicSystem",
@@ -125,6 +130,7 @@ __all__ = [
     "Variation",
     "Window",
     "amplitude_response",
+    "attractors",
     "averaged",
     "balance",
     "cycle_floquet",

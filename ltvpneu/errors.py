@@ -6,9 +6,35 @@ answer, or not the one asked for. Each carries its figures as attributes.
 
 from typing import Any
 
+from ltvpneu._values import packed, same, unpacked
+
 
 class LtvpneuError(Exception):
-    """Base of every outcome in this module."""
+    """Base of every outcome in this module.
+
+    Errors can be pickled, so that a pool of processes hands them on, and equal ones compare equal.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how to make the error anew: with its message and its figures, past its own constructor."""
+        return _rebuilt, (type(self), self.args, packed(vars(self)))
+
+    def __eq__(self, other: object) -> bool:
+        """Whether another error is of the same class and carries the same message and figures."""
+        if not isinstance(other, LtvpneuError) or type(self) is not type(other):
+            return NotImplemented
+        return same(self.args, other.args) and same(vars(self), vars(other))
+
+    def __hash__(self) -> int:
+        """Return a number that equal errors share."""
+        return hash((type(self), str(self)))
+
+
+def _rebuilt(kind: type[LtvpneuError], args: tuple[Any, ...], figures: dict[str, Any]) -> LtvpneuError:
+    error = kind.__new__(kind, *args)
+    error.args = args
+    vars(error).update(unpacked(figures))
+    return error
 
 
 class MachineFileError(LtvpneuError, ValueError):

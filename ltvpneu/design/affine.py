@@ -17,6 +17,7 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import ComplexArray, FloatArray
+from ltvpneu._values import Value
 from ltvpneu.periodic.cyclic import solve_cyclic
 from ltvpneu.periodic.orbit import signal_index
 from ltvpneu.periodic.propagate import balancing_scales, complex_exponentials, exponentials
@@ -26,7 +27,7 @@ from ltvpneu.periodic.system import PeriodicSystem
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class AffineOrbit:
+class AffineOrbit(Value):
     """A system's orbit over its inputs w, one value of every input for every step, (n_steps * m,), step by step.
 
     Every figure comes as one row: coefficients of w, and a last one that stands for itself.

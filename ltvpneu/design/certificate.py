@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 
 from ltvpneu._arrays import FloatArray, finite_array, read_only
+from ltvpneu._values import Value
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.tangent import tangents
@@ -47,7 +48,7 @@ CONDITION = 1e8
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Certificate:
+class Certificate(Value):
     """A proof of stability that was checked, or the outcome that none was found."""
 
     kind: str

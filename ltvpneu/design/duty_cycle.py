@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import finite, finite_array
+from ltvpneu._values import Value
 from ltvpneu.design.duty_problem import NOMINAL, DutyProblem, ModelKind, Scenario, duty_problem
 from ltvpneu.design.duty_solution import DutySolution
 from ltvpneu.design.duty_variables import Bounds
@@ -26,7 +27,7 @@ OBJECTIVES = ("amplitude", "air_use", "mean_error", "tracking", "switching")
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Goals:
+class Goals(Value):
     """What is wanted of a cycle, by state; SI units.
 
     Parameters

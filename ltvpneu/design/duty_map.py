@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite
+from ltvpneu._values import Value
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.maps import OrbitMap, orbit_map
+from ltvpneu.models.orbit_map import OrbitMap, orbit_map
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class DutyMap:
+class DutyMap(Value):
     """Orbits of the nonlinear machine over frequency (rows) and duty (columns)."""
 
     orbits: OrbitMap
@@ -25,7 +26,10 @@ class DutyMap:
 
     @property
     def means(self) -> FloatArray:
-        """Mean positions [m], (n_frequencies, n_duties); nan where there is no orbit."""
+        """Mean positions from rest at zero [m], (n_frequencies, n_duties); nan where there is no orbit.
+
+        Where the position depends on the start, `orbits.branches` has them all.
+        """
         return self.orbits.means
 
     @property
@@ -35,16 +39,13 @@ class DutyMap:
 
     def row(self, frequency: float) -> int:
         """Return the number of a frequency of the map."""
-        near = np.flatnonzero(np.isclose(self.orbits.frequencies, frequency, rtol=1e-9))
-        if near.size == 0:
-            known = ", ".join(f"{f:g}" for f in self.orbits.frequencies)
-            raise ValueError(f"frequency: found {frequency:g} Hz, expected one of the map's: {known}")
-        return int(near[0])
+        return self.orbits.row(frequency)
 
     def duty_for(self, mean: float, frequency: float) -> float:
         """Return the duty at which the piston is at a mean position, between the map's points on a straight line.
 
-        Where it rests by stiction, its place depends on how it came there; those points are left out.
+        Where it rests by stiction, or goes one way or the other, its place depends on how it came there; those points
+        are left out.
 
         Parameters
         ----------
@@ -56,10 +57,13 @@ class DutyMap:
         Raises
         ------
         ValueError
-            No duty of the map reaches it, or the mean does not rise or fall with the duty throughout.
+            No duty of the map reaches it or holds it, or the mean does not rise or fall with the duty throughout.
         """
         row, mean = self.row(frequency), finite("mean", mean, "m")
         moving = np.array([kind in ("unique", "subharmonic") for kind in self.orbits.kinds[row]])
+        gap = self.orbits.unheld(frequency)
+        if gap is not None and gap[0] < mean < gap[1]:
+            raise ValueError(f"mean: found {1e3 * mean:.4g} mm. {self.orbits.remark(frequency)}")
         duties, means = self.orbits.duties[moving], self.means[row][moving]
         order = np.argsort(duties)
         duties, means = duties[order], means[order]

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import final
 
+from ltvpneu._values import Value
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.periodic.orbit import Orbit
@@ -11,7 +12,7 @@ from ltvpneu.periodic.orbit import Orbit
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class DutySolution:
+class DutySolution(Value):
     """What a design of switching angles ended with."""
 
     status: str

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, cast, final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, finite_array, not_negative, positive, read_only, whole
+from ltvpneu._values import Value
 from ltvpneu.design.duty_map import DutyMap
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.models.integrator import OK, integrate_period
@@ -98,7 +99,7 @@ def duty_model(
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Measurement:
+class Measurement(Value):
     """What a controller sees at the start of a period."""
 
     number: int
@@ -119,7 +120,7 @@ Controller = Callable[[Measurement], float]
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class ClosedLoop:
+class ClosedLoop(Value):
     """The nonlinear machine under a controller; one entry a period."""
 
     machine: Machine

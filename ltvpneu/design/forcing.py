@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array, whole
+from ltvpneu._values import Value
 from ltvpneu.design.affine import AffineOrbit
 from ltvpneu.design.air_use import with_air_use
 from ltvpneu.design.solving import Constraints, Solution, named_constraints, solve_convex
@@ -26,7 +27,7 @@ Given = Mapping[str, float | ArrayLike | cp.Expression]
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class ForcingSolution:
+class ForcingSolution(Value):
     """What a forcing problem ended with. Where the status is not "optimal", the figures are nan."""
 
     status: str
@@ -176,7 +177,7 @@ def forcing_problem(
     system : PeriodicSystem or LtvModel
         Of a model, the output "air_use" is among the signals [kg/s].
     free : sequence of str, optional
-        Inputs that are variables; all by default.
+        Inputs that are variables; by default all, of a machine all but the ambient pressure.
     per_step : sequence of str
         Those of the free inputs that have one value a step instead of one for all.
     given : mapping of str to number or cvxpy.Expression, optional
@@ -213,7 +214,8 @@ def forcing_problem(
         system = with_air_use(system)
     expect_system(system)
     given = {} if given is None else given
-    wanted = [name for name in system.inputs if name not in given] if free is None else list(free)
+    weather = ("ambient_pressure",) if of_machine else ()
+    wanted = [name for name in system.inputs if name not in (*given, *weather)] if free is None else list(free)
     for what, names in (("free", wanted), ("per_step", list(per_step)), ("given", list(given))):
         for name in names:
             if name not in system.inputs:
@@ -242,6 +244,8 @@ def _limits(inputs: dict[str, cp.Expression]) -> dict[str, cp.Constraint]:
     found: dict[str, cp.Constraint] = {}
     if exhaust.variables():
         found["exhaust above vacuum"] = exhaust >= 0
+    if inputs["ambient_pressure"].variables():
+        found["ambient above vacuum"] = inputs["ambient_pressure"] >= 0
     if supply.variables() or exhaust.variables():
         found["supply above exhaust"] = supply >= exhaust
     return found

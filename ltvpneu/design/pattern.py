@@ -10,6 +10,7 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import BoolArray, positive, whole
+from ltvpneu._values import Value
 from ltvpneu.design.duty_cycle import Wanted
 from ltvpneu.design.pattern_problem import Asked, Solved, solved_pattern
 from ltvpneu.design.slots import first_points, pattern_system, points_of, slots_of, two_positions
@@ -25,7 +26,7 @@ MOST_ROUNDS = 8
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class PatternSolution:
+class PatternSolution(Value):
     """A pattern of slots. Where the status is not "optimal", the figures are nan and there is no pattern."""
 
     status: str

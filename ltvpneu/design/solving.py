@@ -8,6 +8,7 @@ import cvxpy as cp
 import numpy as np
 from cvxpy.error import SolverError as CvxpySolverError
 
+from ltvpneu._values import Value
 from ltvpneu.errors import NotConvexError, SolverError
 
 Constraints = Sequence[cp.Constraint] | Mapping[str, cp.Constraint]
@@ -20,7 +21,7 @@ ACCEPTED = 1e-7
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Solution:
+class Solution(Value):
     """Status, value and duals; variables carry their values."""
 
     status: str

@@ -15,15 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import BoolArray, FloatArray, read_only
+from ltvpneu._values import Value
 from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box, verified_rate
 from ltvpneu.errors import LtvpneuError
-from ltvpneu.models.amplitude import FailedPoint
+from ltvpneu.models.attractors import attractors
 from ltvpneu.models.cycle_floquet import cycle_floquet
+from ltvpneu.models.failed_point import FailedPoint
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.ltv import OperatingPoints, ltv_model
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.maps import grid_of
-from ltvpneu.models.nonlinear import nonlinear_orbit
+from ltvpneu.models.orbit_map import MAP_SPREAD, grid_of
 
 SHRINKINGS = 7
 """Rounds in which the widest box with a common function is closed in on."""
@@ -31,7 +32,7 @@ SHRINKINGS = 7
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Box:
+class Box(Value):
     """Limits of operating points."""
 
     position: tuple[float, float]
@@ -42,7 +43,7 @@ class Box:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class StabilityMap:
+class StabilityMap(Value):
     """Stability and ripple over frequency (rows) and duty (columns), each array (n_frequencies, n_duties)."""
 
     machine: Machine
@@ -61,9 +62,11 @@ class StabilityMap:
     """That the certificate's function proves for the steps of that point's LTV model, whatever the switching [1/s];
     zero or less, or nan: nothing is proved."""
     amplitudes: FloatArray
-    """Of the position on the nonlinear machine's cycle [m]; nan where it has none."""
-    is_unique: BoolArray
-    """Whether that cycle is unique, not one of a stiction band."""
+    """Of the position on the cycle that the nonlinear machine settles on from rest [m]; nan where it has none."""
+    is_isolated: BoolArray
+    """Whether that cycle is isolated, not one of a stiction band."""
+    depends_on_start: BoolArray
+    """Whether other starts lead the nonlinear machine to other cycles (`attractors`)."""
     stays_in_box: BoolArray
     """Whether the whole of that cycle stays in the box."""
     failures: tuple[FailedPoint, ...]
@@ -134,7 +137,8 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
     shape = (frequency_grid.size, duty_grid.size)
     models, failures = dict[tuple[int, int], LtvModel](), list[FailedPoint]()
     arrays = {name: np.full(shape, np.nan) for name in ("spectral_radii", "margins", "decay_rates", "amplitudes")}
-    is_unique, ranges = np.zeros(shape, dtype=np.bool_), np.full((*shape, 2, len(machine.states)), np.nan)
+    is_isolated, depends = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
+    ranges = np.full((*shape, 2, len(machine.states)), np.nan)
     for place in np.ndindex(shape):
         present, frequency = machine.with_duty(float(duty_grid[place[1]])), float(frequency_grid[place[0]])
         try:
@@ -142,13 +146,15 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
             found = cycle_floquet(model)
             arrays["spectral_radii"][place], arrays["margins"][place] = found.spectral_radius, found.margin
         except (LtvpneuError, ValueError) as error:
-            failures.append(FailedPoint(model="ltv", frequency=frequency, error=error))
-        try:
-            orbit = nonlinear_orbit(present, frequency)
-            is_unique[place], arrays["amplitudes"][place] = orbit.is_unique, orbit.amplitude("position")
+            failures.append(FailedPoint(model="ltv", frequency=frequency, duty=present.duty, error=error))
+        settled = attractors(present, frequency, n_spread=MAP_SPREAD)
+        depends[place] = bool(settled.orbits) and not settled.is_single
+        if settled.reached[0] >= 0:
+            orbit = settled.orbits[settled.reached[0]]
+            is_isolated[place], arrays["amplitudes"][place] = orbit.is_isolated, orbit.amplitude("position")
             ranges[place] = [[side(name) for name in machine.states] for side in (orbit.minimum, orbit.maximum)]
-        except LtvpneuError as error:
-            failures.append(FailedPoint(model="nonlinear", frequency=frequency, error=error))
+        else:
+            failures.append(settled.failures[0])
         if progress is not None:
             progress(1)
     if box is None:
@@ -169,7 +175,8 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
         duties=duty_grid,
         box=box,
         certificate=certificate,
-        is_unique=is_unique,
+        is_isolated=is_isolated,
+        depends_on_start=depends,
         stays_in_box=stays,
         failures=tuple(failures),
         **{name: read_only(values) for name, values in arrays.items()},

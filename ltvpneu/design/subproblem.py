@@ -17,6 +17,7 @@ from cvxpy.constraints.zero import Equality
 from cvxpy.error import SolverError as CvxpySolverError
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu._values import Value
 from ltvpneu.design.solving import TIGHT, why_not_convex
 from ltvpneu.errors import LtvpneuError, NotConvexError, SolverError
 from ltvpneu.models.cycle_figures import CycleFigures, Figure
@@ -50,7 +51,7 @@ class BlockFigures:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Task:
+class Task(Value):
     """What is to be solved."""
 
     step: cp.Variable
@@ -63,7 +64,7 @@ class Task:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Answer:
+class Answer(Value):
     """What one convex problem says."""
 
     step: FloatArray

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import final
 
 from ltvpneu._arrays import not_negative, whole
+from ltvpneu._values import Value
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class ValveLimits:
+class ValveLimits(Value):
     """What a valve can make of a command."""
 
     shortest_on: float = 0.0

@@ -15,13 +15,15 @@ from tqdm import tqdm
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.machine_file import bundled_machines, load_machine
 from ltvpneu.face.optimize import optimum_text, parse_request, run_request, write_optimum
-from ltvpneu.face.report import LABELS, multipliers_text, study_text, table
+from ltvpneu.face.report import LABELS, depends, multipliers_text, remarks, study_text, table
 from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
 from ltvpneu.face.study_data import study_data
 from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
+from ltvpneu.models.attractors import attractors
 from ltvpneu.models.cycle_floquet import cycle_floquet
 from ltvpneu.models.ltv import MODES, ltv_model
 from ltvpneu.models.machine import Machine
+from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.proportional import ProportionalValve
 
 if TYPE_CHECKING:
@@ -50,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _located(message: str, machine: str) -> str:
     """Put the machine file's name before a complaint of one of its keys that was found out only by a model."""
-    tables = ("load.", "cylinder.", "valve.", "gas.", "flow_paths", "supply_pressure", "exhaust_pressure")
+    tables = ("load.", "cylinder.", "valve.", "gas.", "flow_paths", "supply_pressure", "exhaust_pressure", "ambient_")
     name = Path(machine).name if machine.endswith(".toml") else f"{machine}.toml"
     return f"{name}: {message}" if message.startswith(tables) else message
 
@@ -77,17 +79,18 @@ def _parser() -> argparse.ArgumentParser:
         help="folder for pictures and JSON (default: study)",
     )
     study.add_argument("--points", type=int, default=40, help="frequencies of the amplitude response (default: 40)")
-    _add_design(study)
+    _add_design(study, "lti")
     study.set_defaults(run=_study)
 
     stability = commands.add_parser(
-        "stability", help="print the verdict of the LTV model; exit 0 stable, 1 not stable, 2 bad input"
+        "stability",
+        help="print the verdict of the LTV model; exit 0 stable, 1 not stable or held by stiction, 2 bad input",
     )
     stability.add_argument("machine", metavar="MACHINE", help=machine_help)
     stability.add_argument(
         "--frequency", type=float, nargs="+", required=True, metavar="HZ", help="valve frequencies [Hz]"
     )
-    _add_design(stability)
+    _add_design(stability, None)
     stability.set_defaults(run=_stability)
 
     optimize = commands.add_parser(
@@ -164,13 +167,14 @@ def _optimize(options: argparse.Namespace) -> int:
     return 0 if found.status == "optimal" else 1
 
 
-def _add_design(parser: argparse.ArgumentParser) -> None:
+def _add_design(parser: argparse.ArgumentParser, points: str | None) -> None:
     parser.add_argument("--duty", type=float, metavar="D", help="duty cycle, 0 to 1 (default: the machine's own)")
-    _add_model(parser, "lti")
+    _add_model(parser, points)
 
 
-def _add_model(parser: argparse.ArgumentParser, default: str) -> None:
-    standard = f"{default}, the paper's" if default == "lti" else default
+def _add_model(parser: argparse.ArgumentParser, default: str | None) -> None:
+    own = "those that see friction and stops: fitted, of liquids self-consistent"
+    standard = own if default is None else f"{default}, the paper's" if default == "lti" else default
     parser.add_argument(
         "--n-steps", type=int, metavar="N", help="steps of the LTV model (default: 2, or one for each valve position)"
     )
@@ -266,19 +270,22 @@ def write_study(study: Study, designed: "DesignStudy | None", folder: Path) -> l
 
 def _stability(options: argparse.Namespace) -> int:
     machine = _machine(options)
+    points = options.operating_points or ("self-consistent" if isinstance(machine.gas, Liquid) else "fitted")
     rows: list[list[str]] = []
     all_stable = True
     for frequency in options.frequency:
-        model = ltv_model(machine, frequency, n_steps=options.n_steps, operating_points=options.operating_points)
+        model = ltv_model(machine, frequency, n_steps=options.n_steps, operating_points=points)
         found = cycle_floquet(model)
         all_stable = all_stable and found.is_stable
         # A cycle may take several periods to repeat, and its steps are then those of all of them.
         periods = 1 if model.own_cycle is None else model.own_cycle.n_periods
         figures = [f"{found.spectral_radius:.6g}", f"{found.margin:.1e}", found.verdict]
         counts = [f"{model.system.n_steps}", f"{periods}"]
-        rows.append([f"{frequency:g}", f"{machine.duty:.4g}", *counts, multipliers_text(found), *figures])
-    print(f"{machine.name}: LTV model, operating points {options.operating_points!r}\n")
-    header = ["frequency [Hz]", "duty", "steps", "periods", "multipliers", "radius", "computed to", "verdict"]
+        said = [*remarks(model.orbit, machine), *depends(attractors(machine, frequency))]
+        place = [f"{frequency:g}", f"{machine.duty:.4g}"]
+        rows.append([*place, *counts, multipliers_text(found), *figures, ", ".join(said)])
+    print(f"{machine.name}: LTV model, operating points {points!r}\n")
+    header = ["frequency [Hz]", "duty", "steps", "periods", "multipliers", "radius", "computed to", "verdict", "remark"]
     print(table(header, rows))
     return STABLE if all_stable else NOT_STABLE
 

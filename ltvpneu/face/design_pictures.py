@@ -1,5 +1,6 @@
 """Pictures of what `ltvpneu.design` returns; loaded only for these."""
 
+from itertools import pairwise
 from typing import Any
 
 import matplotlib as mpl
@@ -17,6 +18,7 @@ from ltvpneu.design.feedback import ClosedLoop
 from ltvpneu.design.pattern import PatternSolution
 from ltvpneu.design.stability_map import StabilityMap
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.orbit_map import OrbitMap
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.steady import steady_state
 
@@ -42,14 +44,20 @@ def draw_design(result: object) -> Figure | None:
 
 
 def draw_duty_map(found: DutyMap) -> Figure:
-    """Mean position and amplitude over duty, one line a frequency; hollow where stiction holds the piston."""
+    """Mean position and amplitude over duty, one line a frequency; hollow where stiction holds the piston.
+
+    Where the start decides, every orbit that was found has its own mark, and no line joins them.
+    """
     figure = Figure(figsize=(7, 5.5), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     orbits = found.orbits
     for row, frequency in enumerate(orbits.frequencies):
         style = {"color": PALETTE[row % len(PALETTE)], "marker": MARKERS[row % len(MARKERS)], "markersize": 4}
-        upper.plot(orbits.duties, 1e3 * found.means[row], label=f"{frequency:g} Hz", **style)
-        lower.plot(orbits.duties, 1e3 * found.amplitudes[row], **style)
+        for axes, name, values in ((upper, "mean", found.means), (lower, "amplitude", found.amplitudes)):
+            duties, lines = _unbroken(orbits, row, values[row])
+            axes.plot(duties, 1e3 * lines, label=f"{frequency:g} Hz", **style)
+            stars = {"linestyle": "none", "marker": "*", "markersize": 9, "color": style["color"]}
+            axes.plot(*_branch_points(orbits, row, name), **stars)
         held = np.array([kind == "band" for kind in orbits.kinds[row]])
         upper.plot(
             orbits.duties[held], 1e3 * found.means[row][held], linestyle="none", marker="o", markersize=8,
@@ -58,6 +66,8 @@ def draw_duty_map(found: DutyMap) -> Figure:
     if any("band" in row for row in orbits.kinds):
         upper.plot([], [], linestyle="none", marker="o", markersize=8, markerfacecolor="none", color="0.3",
                    label="held by stiction")  # fmt: skip
+    if orbits.depends_on_start.any():
+        upper.plot([], [], linestyle="none", marker="*", markersize=9, color="0.3", label="depends on the start")
     upper.set_ylabel("mean position [mm]")
     lower.set_ylabel("amplitude [mm]")
     lower.set_xlabel("duty [-]")
@@ -66,6 +76,27 @@ def draw_duty_map(found: DutyMap) -> Figure:
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
     return figure
+
+
+def _unbroken(orbits: OrbitMap, row: int, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return duties and values for a line, broken where the start decides and where the piston jumps."""
+    duties, shown = orbits.duties, np.where(orbits.depends_on_start[row], np.nan, values)
+    gap = orbits.unheld(float(orbits.frequencies[row]))
+    if gap is None:
+        return duties, shown
+    beside = [sorted(pair) for pair in pairwise(orbits.means[row])]
+    jumps = [i for i, (low, high) in enumerate(beside, start=1) if low <= gap[0] and high >= gap[1]]
+    return np.insert(duties, jumps, np.nan), np.insert(shown, jumps, np.nan)
+
+
+def _branch_points(orbits: OrbitMap, row: int, name: str) -> tuple[list[float], list[float]]:
+    """Return duties and values [mm] of all orbits where the start decides."""
+    points = [
+        (float(orbits.duties[column]), 1e3 * float(getattr(branch, name)))
+        for column in np.flatnonzero(orbits.depends_on_start[row])
+        for branch in orbits.branches[row][column]
+    ]
+    return [duty for duty, _ in points], [value for _, value in points]
 
 
 def draw_stability_map(found: StabilityMap) -> Figure:
@@ -77,7 +108,8 @@ def draw_stability_map(found: StabilityMap) -> Figure:
     figure.colorbar(shades, ax=axes, label="amplitude of the position, nonlinear [mm]")
     frequency, duty = np.meshgrid(found.frequencies, found.duties, indexing="ij")
     marks = [
-        ("held by stiction", ~found.is_unique & np.isfinite(found.amplitudes), "x", PALETTE[3]),
+        ("held by stiction", ~found.is_isolated & np.isfinite(found.amplitudes), "x", PALETTE[3]),
+        ("depends on the start", found.depends_on_start, "*", PALETTE[4]),
         ("LTV model not stable", np.isfinite(found.spectral_radii) & ~found.is_stable, "^", PALETTE[2]),
     ]
     handles: list[Artist] = []

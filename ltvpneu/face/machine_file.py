@@ -3,15 +3,16 @@
 import difflib
 import tomllib
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast, final
 
 from ltvpneu.errors import MachineFileError
 from ltvpneu.face.units import Dimension, parse
 from ltvpneu.models.connections import FlowPath
 from ltvpneu.models.machine import Machine, Valve
-from ltvpneu.physics.cylinder import Cylinder
+from ltvpneu.physics.cylinder import ATMOSPHERE, Cylinder
 from ltvpneu.physics.gas import Gas
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.liquid import Liquid
@@ -34,11 +35,23 @@ class Key(NamedTuple):
     required: bool = False
 
 
+@final
+@dataclass(frozen=True)
+class _File:
+    """A machine file: the name that its errors begin with, and what its gauge pressures are counted from [Pa]."""
+
+    name: str
+    ambient: float
+
+    def __str__(self) -> str:
+        return self.name
+
+
 _MACHINE = {
     "name": Key(str, True), "source": Key(str), "supply_pressure": Key("pressure", True),
     "exhaust_pressure": Key("pressure", True), "collapse": Key(str), "gas": Key(dict), "liquid": Key(dict),
     "cylinder": Key(dict, True), "load": Key(dict, True), "valve": Key(dict, True), "flow_paths": Key(list),
-    "more_valves": Key(list),
+    "more_valves": Key(list), "ambient_pressure": Key("pressure"),
 }  # fmt: skip
 _GAS = {
     "heat_capacity_ratio": Key("number"), "specific_gas_constant": Key("gas constant"),
@@ -67,7 +80,7 @@ _CYLINDER = {
     "piston_area_1": Key("area", True), "piston_area_2": Key("area", True), "dead_volume_1": Key("volume"),
     "dead_volume_2": Key("volume"), "seal_friction_area": Key("area"), "polytropic_exponent_1": Key("number"),
     "polytropic_exponent_2": Key("number"), "energy_balance_1": Key(dict), "energy_balance_2": Key(dict),
-    "lower_stop": Key("length"), "upper_stop": Key("length"),
+    "lower_stop": Key("length"), "upper_stop": Key("length"), "rod_area_1": Key("area"), "rod_area_2": Key("area"),
 }  # fmt: skip
 _LOAD = {
     "mass": Key("mass", True), "spring_stiffness": Key("stiffness"), "viscous_damping": Key("damping"),
@@ -139,12 +152,13 @@ def load_machine(source: str | Path) -> Machine:
     return parse_machine(text, f"{name}.toml")
 
 
-def parse_machine(text: str, file: str) -> Machine:
-    """Return the machine that a TOML text describes; `file` names it in errors."""
+def parse_machine(text: str, name: str) -> Machine:
+    """Return the machine that a TOML text describes; `name` is what errors call it."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise MachineFileError(f"{file}: not valid TOML: {error}") from error
+        raise MachineFileError(f"{name}: not valid TOML: {error}") from error
+    file = _File(name, _ambient(data, name))
     top = _table(data, _MACHINE, file, "")
     top.pop("source", None)
     gas = _medium(top, file)
@@ -171,7 +185,7 @@ def parse_machine(text: str, file: str) -> Machine:
     )
 
 
-def _medium(top: dict[str, Any], file: str) -> Medium:
+def _medium(top: dict[str, Any], file: _File) -> Medium:
     """Take the tables of the medium out of the file's."""
     gas, liquid = top.pop("gas", None), top.pop("liquid", None)
     if gas is not None and liquid is not None:
@@ -188,27 +202,27 @@ def _medium(top: dict[str, Any], file: str) -> Medium:
     return _build(RealGas, found, file, "gas")
 
 
-def _pair(entry: Any, kinds: tuple[Dimension, Dimension], file: str, where: str) -> tuple[Any, Any]:
+def _pair(entry: Any, kinds: tuple[Dimension, Dimension], file: _File, where: str) -> tuple[Any, Any]:
     """Return two quantities that stand in one array."""
     if not isinstance(entry, list) or len(pair := cast(list[Any], entry)) != 2:
         raise MachineFileError(f"{file}: {where}: found {entry!r}, expected two: {kinds[0]}, {kinds[1]}")
     return _entry(pair[0], kinds[0], file, where), _entry(pair[1], kinds[1], file, where)
 
 
-def _energy_balances(found: dict[str, Any], keys: tuple[str, ...], file: str, where: str) -> None:
+def _energy_balances(found: dict[str, Any], keys: tuple[str, ...], file: _File, where: str) -> None:
     for key in keys:
         if key in found:
             table = _table(found[key], _ENERGY_BALANCE, file, f"{where}.{key}")
             found[key] = _build(EnergyBalance, table, file, f"{where}.{key}")
 
 
-def _inner_volume(data: object, file: str, where: str) -> InnerVolume:
+def _inner_volume(data: object, file: _File, where: str) -> InnerVolume:
     found = _table(data, _INNER_VOLUME, file, where)
     _energy_balances(found, ("energy_balance",), file, where)
     return _build(InnerVolume, found, file, where)
 
 
-def _plain_valve(data: object, file: str, where: str) -> OnOffValve | ProportionalValve:
+def _plain_valve(data: object, file: _File, where: str) -> OnOffValve | ProportionalValve:
     """Return a valve that is no more than its openings."""
     if not isinstance(data, dict) or cast(dict[str, Any], data).get("type") != "proportional":
         return _on_off(data, file, where)
@@ -221,7 +235,7 @@ def _plain_valve(data: object, file: str, where: str) -> OnOffValve | Proportion
     return ProportionalValve(command=command)
 
 
-def _valve(data: dict[str, Any], file: str) -> Valve:
+def _valve(data: dict[str, Any], file: _File) -> Valve:
     kind = data.get("type")
     if kind in ("on_off", "proportional"):
         return _plain_valve(data, file, "valve")
@@ -237,7 +251,7 @@ def _valve(data: dict[str, Any], file: str) -> Valve:
     return _build(RotaryValve, found, file, "valve")
 
 
-def _on_off(data: object, file: str, where: str) -> OnOffValve:
+def _on_off(data: object, file: _File, where: str) -> OnOffValve:
     found = _table(data, _ON_OFF, file, where)
     kind = found.pop("type")
     if kind != "on_off":
@@ -250,7 +264,7 @@ def _on_off(data: object, file: str, where: str) -> OnOffValve:
     return _build(OnOffValve, found, file, where)
 
 
-def _pulses(entries: list[Any], ramp: float, file: str, where: str) -> Pulses:
+def _pulses(entries: list[Any], ramp: float, file: _File, where: str) -> Pulses:
     pairs: list[tuple[float, float]] = []
     for i, entry in enumerate(entries):
         at = f"{where}.pulses[{i}]"
@@ -260,13 +274,13 @@ def _pulses(entries: list[Any], ramp: float, file: str, where: str) -> Pulses:
     return _build(lambda pulses: check_pulses(pulses, ramp), {"pulses": pairs}, file, where)
 
 
-def _port(data: object, file: str, where: str) -> Port:
+def _port(data: object, file: _File, where: str) -> Port:
     found = _table(data, _PORT, file, where)
     found["window"] = _window(found, file, where)
     return _build(Port, found, file, where)
 
 
-def _flow_path(data: object, file: str, where: str) -> FlowPath:
+def _flow_path(data: object, file: _File, where: str) -> FlowPath:
     found = _table(data, _FLOW_PATH, file, where)
     if "opens_at" in found or "open_for" in found:
         for key in ("opens_at", "open_for"):
@@ -284,14 +298,14 @@ def _flow_path(data: object, file: str, where: str) -> FlowPath:
     return _build(FlowPath, found, file, where)
 
 
-def _window(found: dict[str, Any], file: str, where: str) -> Window:
+def _window(found: dict[str, Any], file: _File, where: str) -> Window:
     """Take the three keys of a window out of a table."""
     names = {"opens_at": "start", "open_for": "width", "ramp": "ramp"}
     values = {name: found.pop(key) for key, name in names.items() if key in found}
     return _build(Window, values, file, where, {name: key for key, name in names.items()})
 
 
-def _table(data: object, keys: Mapping[str, Key], file: str, where: str) -> dict[str, Any]:
+def _table(data: object, keys: Mapping[str, Key], file: _File, where: str) -> dict[str, Any]:
     """Return a table's entries in SI units, after checking that all are known, complete and of the right kind."""
     prefix = f"{where}." if where else ""
     if not isinstance(data, dict):
@@ -308,21 +322,37 @@ def _table(data: object, keys: Mapping[str, Key], file: str, where: str) -> dict
     return {key: _entry(value, keys[key].kind, file, f"{prefix}{key}") for key, value in data.items()}
 
 
-def _entry(value: object, kind: Kind, file: str, where: str) -> Any:
+def _entry(value: object, kind: Kind, file: _File, where: str) -> Any:
     if isinstance(kind, type):
         if not isinstance(value, kind):
             raise MachineFileError(f"{file}: {where}: found {value!r}, expected {_kind_name(kind)}")
         return value
     try:
-        return parse(value, kind)
+        return parse(value, kind, file.ambient)
     except ValueError as error:
         raise MachineFileError(f"{file}: {where}: {error}") from None
+
+
+def _ambient(data: dict[str, Any], file: str) -> float:
+    """Return the pressure that gauge pressures are counted from; a gauge pressure itself cannot say."""
+    if "ambient_pressure" not in data:
+        return ATMOSPHERE
+    found = data["ambient_pressure"]
+    try:
+        if parse(found, "pressure", 0.0) == parse(found, "pressure", 1.0):
+            return parse(found, "pressure")
+    except ValueError as error:
+        raise MachineFileError(f"{file}: ambient_pressure: {error}") from None
+    raise MachineFileError(
+        f"{file}: ambient_pressure: found {found!r}, a gauge pressure, which is counted from the ambient pressure; "
+        "expected an absolute one, such as '1.013 bar'"
+    )
 
 
 def _build(
     make: Callable[..., T],
     values: dict[str, Any],
-    file: str,
+    file: _File,
     where: str,
     keys: Mapping[str, str] | None = None,
 ) -> T:

@@ -9,7 +9,8 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ltvpneu.models.maps import KINDS, OrbitMap, ValidityMap
+from ltvpneu.models.orbit_map import KINDS, OrbitMap
+from ltvpneu.models.validity_map import ValidityMap
 
 PALETTE = mpl.color_sequences["petroff10"]
 GROUND = "0.85"
@@ -21,8 +22,9 @@ def draw_orbit_map(found: OrbitMap) -> Figure:
     """Kinds of orbits over frequency and duty, with the periods of subharmonics."""
     figure, axes = _axes(f"{found.machine.name}: what the machine settles on")
     numbers = np.array([[KINDS.index(kind) for kind in row] for row in found.kinds], dtype=np.float64)
-    colours = ["0.92", PALETTE[0], PALETTE[1], PALETTE[2], "0.4"]
-    axes.pcolormesh(found.frequencies, found.duties, numbers.T, cmap=ListedColormap(colours), vmin=-0.5, vmax=4.5)
+    colours = ["0.92", PALETTE[0], PALETTE[1], PALETTE[2], PALETTE[4], "0.4"]
+    most = len(KINDS) - 0.5
+    axes.pcolormesh(found.frequencies, found.duties, numbers.T, cmap=ListedColormap(colours), vmin=-0.5, vmax=most)
     for row, column in np.argwhere(numbers == KINDS.index("subharmonic")):
         label = f"{found.n_periods[row, column]:.0f}"
         axes.text(

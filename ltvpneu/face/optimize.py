@@ -10,10 +10,14 @@ import numpy as np
 from tqdm import tqdm
 
 from ltvpneu.face.machine_file import nearest
-from ltvpneu.face.report import heading, shown, table
+from ltvpneu.face.report import depends, heading, shown, table
+from ltvpneu.face.study_data import attractors_data
 from ltvpneu.face.units import Dimension, parse
+from ltvpneu.models.attractors import attractors
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.orbit_map import MAP_SPREAD, orbit_map
 from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.physics.cylinder import ATMOSPHERE
 
 if TYPE_CHECKING:
     from ltvpneu.design import DutySolution
@@ -21,11 +25,16 @@ if TYPE_CHECKING:
 Bounds = tuple[float, float]
 DIMENSIONS: dict[str, Dimension] = {
     "duty": "number", "frequency": "number", "offset_angle": "angle", "supply_pressure": "pressure",
-    "exhaust_pressure": "pressure", "load.force": "force", "load.mass": "mass", "load.dry_friction": "force",
+    "exhaust_pressure": "pressure", "ambient_pressure": "pressure", "load.force": "force", "load.mass": "mass",
+    "load.dry_friction": "force",
     "load.stiction": "force", "load.spring_stiffness": "stiffness", "load.viscous_damping": "damping",
     "position": "length", "amplitude": "length",
 }  # fmt: skip
 """Of what the options name; pressures of chambers too, all else is a plain number in SI units."""
+
+
+DUTIES = np.linspace(0.05, 0.95, 19)
+"""At which it is looked what positions a duty holds."""
 
 
 class Request(NamedTuple):
@@ -52,28 +61,31 @@ def parse_request(machine: Machine, options: Any) -> Request:
     ValueError
         With the option, what was found and what was expected.
     """
+    around = machine.ambient_pressure
     mean: dict[str, float | tuple[float | None, float | None]] = {}
     for text in options.mean:
         name, value = _named("--mean", text, machine.states)
-        mean[name] = _range("--mean", name, value) if ".." in value else _quantity("--mean", name, value)
+        mean[name] = (
+            _range("--mean", name, value, around) if ".." in value else _quantity("--mean", name, value, around)
+        )
     amplitude, maximum = dict[str, float](), dict[str, float]()
     air_use: float | None = None
     for text in options.max:
         name, value = _named("--max", text, ("amplitude", "air_use", *machine.states))
         if name == "amplitude":
-            amplitude["position"] = _quantity("--max", name, value)
+            amplitude["position"] = _quantity("--max", name, value, around)
         elif name == "air_use":
             air_use = 1e-3 * float(_plain("--max", name, re.sub(r"\s*g/s$", "", value)))
         else:
-            maximum[name] = _quantity("--max", name, value)
+            maximum[name] = _quantity("--max", name, value, around)
     minimum = dict[str, float]()
     for text in options.min:
         name, value = _named("--min", text, machine.states)
-        minimum[name] = _quantity("--min", name, value)
+        minimum[name] = _quantity("--min", name, value, around)
     variables: dict[str, Bounds] = {}
     for text in options.free:
         name, value = _named("--free", text, ())
-        variables[name] = _range("--free", name, value)
+        variables[name] = _range("--free", name, value, around)
     scenarios: dict[str, dict[str, float]] = {}
     for text in options.scenario:
         name, value = _named("--scenario", text, ())
@@ -152,6 +164,9 @@ def optimum_text(found: "DutySolution") -> str:
         parts.append(
             f"global search: no setting gets the objective below {found.lower_bound:.6g} ({found.objective:.6g})"
         )
+    unheld = _unheld(found)
+    if unheld:
+        parts.append(unheld)
     if found.n_failed:
         parts.append(f"{found.n_failed} settings on the way had no cycle, or stiction held the piston there")
     rows = [[name, *(setting_shown(name, one.values[name]) for _, one in columns)] for name in found.values]
@@ -181,6 +196,14 @@ def optimum_text(found: "DutySolution") -> str:
     return "\n".join(parts)
 
 
+def _unheld(found: "DutySolution") -> str:
+    """Return which mean positions no duty holds, where a piston without a spring missed what was asked for."""
+    asked = any(name.startswith(("mean position", "least mean position", "most mean")) for name in found.constraints)
+    if found.machine.load.spring_stiffness > 0 or not asked or found.status == "optimal":
+        return ""
+    return orbit_map(found.machine, DUTIES, [found.frequency]).remark(found.frequency)
+
+
 def _figures(found: "DutySolution") -> tuple[list[str], list[list[str]]]:
     """Return rows of the figures of all cycles."""
     header = ["cycle", "mean position", "amplitude", "air use", "remark"]
@@ -191,7 +214,10 @@ def _figures(found: "DutySolution") -> tuple[list[str], list[list[str]]]:
         for scenario, orbit in one.nonlinear.items() if one is not None else ():
             label = f"nonlinear{name}" + ("" if scenario == "nominal" else f", {scenario}")
             if isinstance(orbit, Orbit) and one is not None:
-                rows.append([label, *_cells(one.scenario_machines[scenario], orbit)])
+                machine = one.scenario_machines[scenario]
+                *cells, remark = _cells(machine, orbit)
+                also = depends(attractors(machine, one.frequency, n_spread=MAP_SPREAD))
+                rows.append([label, *cells, ", ".join([remark, *also] if remark else also)])
             else:
                 rows.append([label, "-", "-", "-", str(orbit)])
     return header, rows
@@ -203,8 +229,8 @@ def _cells(machine: Machine, orbit: Orbit) -> list[str]:
     remarks: list[str] = []
     if orbit.n_periods > 1:
         remarks.append(f"repeats every {orbit.n_periods} periods")
-    if not orbit.is_unique:
-        remarks.append("held by stiction")
+    if orbit.rest or not orbit.is_isolated:
+        remarks.append(orbit.rest or "held by stiction")
     return [
         shown("position", orbit.mean("position")),
         shown("position", orbit.amplitude("position")),
@@ -225,7 +251,11 @@ def optimum_data(found: "DutySolution") -> dict[str, Any]:
                 "mean_position": orbit.mean("position"),
                 "amplitude": orbit.amplitude("position"),
                 "air_use": air_use(one.scenario_machines[name], orbit),
-                "is_unique": orbit.is_unique,
+                "is_isolated": orbit.is_isolated,
+                "rest": orbit.rest,
+                "attractors": attractors_data(
+                    attractors(one.scenario_machines[name], one.frequency, n_spread=MAP_SPREAD)
+                ),
                 "n_periods": orbit.n_periods,
             }
             for name, orbit in one.nonlinear.items()
@@ -314,7 +344,7 @@ def _plain(option: str, name: str, text: str) -> float:
         raise ValueError(f"{option}: found {text!r} for {name}, expected a number") from None
 
 
-def _quantity(option: str, name: str, text: str) -> float:
+def _quantity(option: str, name: str, text: str, ambient: float = ATMOSPHERE) -> float:
     dimension = _dimension(name)
     if name == "velocity":
         return _plain(option, name, re.sub(r"\s*m/s$", "", text))
@@ -324,14 +354,17 @@ def _quantity(option: str, name: str, text: str) -> float:
     except ValueError:
         pass
     try:
-        return parse(text, dimension)
+        return parse(text, dimension, ambient)
     except ValueError as error:
         raise ValueError(f"{option}: {name}: {error}") from None
 
 
-def _range(option: str, name: str, text: str) -> Any:
+def _range(option: str, name: str, text: str, ambient: float = ATMOSPHERE) -> Any:
     low, _, high = text.partition("..")
-    found = [None if not part.strip() else _quantity(option, name, re.sub(r"\s*Hz$", "", part)) for part in (low, high)]
+    found = [
+        None if not part.strip() else _quantity(option, name, re.sub(r"\s*Hz$", "", part), ambient)
+        for part in (low, high)
+    ]
     if option != "--mean" and None in found:
         raise ValueError(
             f"{option}: found {text!r} for {name}, expected its least and greatest value, such as 0.1..0.9"

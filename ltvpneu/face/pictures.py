@@ -15,10 +15,10 @@ from ltvpneu.face.map_pictures import draw_orbit_map, draw_validity_map
 from ltvpneu.models.amplitude import AmplitudeResponse
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.maps import OrbitMap, ValidityMap
+from ltvpneu.models.orbit_map import OrbitMap
 from ltvpneu.models.parameters import ParameterSensitivity
 from ltvpneu.models.staircase import Staircase, staircase, step_means
-from ltvpneu.models.variational import OrbitFloquet
+from ltvpneu.models.validity_map import ValidityMap
 from ltvpneu.periodic.floquet import Floquet, floquet
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.system import PeriodicSystem
@@ -64,7 +64,7 @@ def draw(result: object) -> Figure:
         return draw_areas(result.machine, _stairs_of(result))
     if isinstance(result, PeriodicSystem):
         return draw_multipliers({result.name: floquet(result)})
-    if isinstance(result, Floquet | OrbitFloquet):
+    if isinstance(result, Floquet):
         return draw_multipliers({"": result})
     if isinstance(result, Orbit):
         return draw_cycles({result.name: result}, title=_orbit_title(result))
@@ -85,7 +85,7 @@ def _draw_mapping(result: Mapping[str, object]) -> Figure:
     orbits = {str(label): value for label, value in result.items() if isinstance(value, Orbit)}
     if len(orbits) == len(result):
         return draw_cycles(orbits, title=f"{1 / next(iter(orbits.values())).system_period:.4g} Hz")
-    multipliers = {str(label): value for label, value in result.items() if isinstance(value, Floquet | OrbitFloquet)}
+    multipliers = {str(label): value for label, value in result.items() if isinstance(value, Floquet)}
     if len(multipliers) == len(result):
         return draw_multipliers(multipliers)
     kinds = sorted({type(value).__name__ for value in result.values()})
@@ -105,7 +105,7 @@ def _draw_by_itself(result: object) -> Figure:
     if not type(result).__module__.startswith("control") or method is None:
         raise TypeError(
             f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, "
-            "OrbitFloquet, Orbit, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, DutyMap, ClosedLoop, "
+            "Orbit, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, DutyMap, ClosedLoop, "
             "a dict of Orbit or of Floquet, or a response of python-control"
         )
     import matplotlib.pyplot as plt
@@ -117,7 +117,11 @@ def _draw_by_itself(result: object) -> Figure:
 
 def _orbit_title(orbit: Orbit) -> str:
     repeats = f", repeats every {orbit.n_periods} valve periods" if orbit.n_periods > 1 else ""
-    return f"{orbit.name}: {1 / orbit.system_period:.4g} Hz{repeats}"
+    return f"{orbit.name}: {1 / orbit.system_period:.4g} Hz{repeats}{_rest(orbit)}"
+
+
+def _rest(orbit: Orbit | None) -> str:
+    return "" if orbit is None or not orbit.rest else f", {orbit.rest}"
 
 
 def _stairs_of(model: LtvModel) -> Staircase:
@@ -175,7 +179,8 @@ def draw_cycles(orbits: Mapping[str, Orbit], title: str = "") -> Figure:
         for ax, signal in zip(axes, signals, strict=True):
             unit = unit_of(signal)
             style = STYLES.get(label.lower(), {"color": PALETTE[number % len(PALETTE)]})
-            ax.plot(1e3 * times, unit.factor * values[orbit.signals.index(signal)], label=label, **style)
+            shown = f"{label}{_rest(orbit)}"
+            ax.plot(1e3 * times, unit.factor * values[orbit.signals.index(signal)], label=shown, **style)
     for ax, signal in zip(axes, signals, strict=True):
         symbol = unit_of(signal).symbol.replace("bar", "bar abs")
         ax.set_ylabel(signal.replace("_", " ") + (f" [{symbol}]" if symbol else ""))
@@ -203,7 +208,7 @@ def draw_amplitudes(found: AmplitudeResponse, frictionless: FloatArray | None = 
     for row, model in enumerate(found.models):
         values = unit.factor * found.amplitudes[row]
         ax.plot(found.frequencies, values, label=LABELS[model], marker=".", markersize=4, **STYLES[model])
-        special = {"in a stiction band": found.is_unique[row] == 0, "subharmonic": found.n_periods[row] > 1}
+        special = {"in a stiction band": found.is_isolated[row] == 0, "subharmonic": found.n_periods[row] > 1}
         for (label, where), marker in zip(special.items(), ("s", "D"), strict=True):
             if where.any():
                 ax.plot(
@@ -227,7 +232,7 @@ def draw_amplitudes(found: AmplitudeResponse, frictionless: FloatArray | None = 
     return figure
 
 
-def draw_multipliers(multipliers: Mapping[str, Floquet | OrbitFloquet]) -> Figure:
+def draw_multipliers(multipliers: Mapping[str, Floquet]) -> Figure:
     """Floquet multipliers on the unit circle."""
     figure = Figure(figsize=(5.2, 5.2), layout="constrained")
     ax = figure.subplots()
@@ -241,7 +246,7 @@ def draw_multipliers(multipliers: Mapping[str, Floquet | OrbitFloquet]) -> Figur
             found.multipliers.real, found.multipliers.imag, markers[number % len(markers)],
             color=PALETTE[number % len(PALETTE)],
             markerfacecolor="none", markeredgewidth=1.5, markersize=8,
-            label=f"{label}  radius {found.spectral_radius:.3g}, {found.verdict}".strip(),
+            label=f"{label}  radius {found.spectral_radius:.3g}, {found.verdict}{_rest(found.orbit)}".strip(),
         )  # fmt: skip
         handles += line
     _add_cross(ax)

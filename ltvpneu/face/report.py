@@ -7,11 +7,11 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.face.study import Case, Study
+from ltvpneu.models.attractors import Attractors, describe
 from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.machine_arrays import CONDUCTANCE, WALL_TEMPERATURE, temperature_place
 from ltvpneu.models.stiction_band import StictionBand
-from ltvpneu.models.variational import OrbitFloquet
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.physics.liquid import Liquid
@@ -67,6 +67,10 @@ def machine_table(machine: Machine) -> str:
             "supply / exhaust pressure",
             f"{machine.supply_pressure / 1e5:.4g} / {machine.exhaust_pressure / 1e5:.4g} bar abs",
         ],
+        [
+            "ambient pressure",
+            f"{machine.ambient_pressure / 1e5:.4g} bar abs, pushes with {ambient_force(machine):.4g} N",
+        ],
         ["duty cycle", f"{machine.duty:.4g}"],
         ["chambers", f"{chambers} ({'single' if len(cylinder.chambers) == 1 else 'double'}-acting)"],
         [
@@ -92,6 +96,11 @@ def machine_table(machine: Machine) -> str:
         )
     width = max(len(row[0]) for row in rows)
     return "\n".join(f"  {name.ljust(width)}   {value}" for name, value in rows)
+
+
+def ambient_force(machine: Machine) -> float:
+    """Return the force of the ambient air on rods and an open side, towards higher positions [N]."""
+    return machine.cylinder.ambient_push_area * machine.ambient_pressure
 
 
 def medium_text(machine: Machine) -> str:
@@ -206,11 +215,12 @@ def stability_table(cases: Sequence[Case]) -> str:
             multipliers_text(found),
             f"{found.spectral_radius:.4g}",
             found.verdict,
+            "" if found.orbit is None else found.orbit.rest,
         ]
         for case in cases
         for name, found in case.floquets.items()
     ]
-    text = table(["model", "multipliers", "radius", "verdict"], rows) if rows else "  no model to ask"
+    text = table(["model", "multipliers", "radius", "verdict", "remark"], rows) if rows else "  no model to ask"
     return "\n".join([text, *failure_lines(cases)])
 
 
@@ -223,7 +233,7 @@ def failure_lines(cases: Sequence[Case]) -> list[str]:
     return [f"  failed: {', '.join(places)}: {why}" for why, places in where.items()]
 
 
-def multipliers_text(found: Floquet | OrbitFloquet) -> str:
+def multipliers_text(found: Floquet) -> str:
     """Return the multipliers, a pair of complex ones as one, and as a power of ten what is beyond double precision."""
     parts: list[str] = []
     for value, log_modulus in zip(found.multipliers, found.log_moduli, strict=True):
@@ -246,8 +256,8 @@ def cycle_table(cases: Sequence[Case]) -> str:
         for name, orbit in case.orbits.items():
             cells = _cycle_cells(orbit, reference, case.estimates.get(name))
             ranges = [f"{orbit.minimum(p) / 1e5:.3f} to {orbit.maximum(p) / 1e5:.3f}" for p in pressures]
-            found = ", ".join(remarks(orbit, case.machine, case.bands.get(name)))
-            rows.append([f"{case.frequency:g} Hz {LABELS[name]}", *cells, *ranges, found])
+            found = [*remarks(orbit, case.machine, case.bands.get(name)), *depends(case.attractors.get(name))]
+            rows.append([f"{case.frequency:g} Hz {LABELS[name]}", *cells, *ranges, ", ".join(found)])
         rows += [
             [f"{case.frequency:g} Hz {LABELS[name]}", "failed", *[""] * (6 + len(pressures))]
             for name in case.failures
@@ -280,9 +290,11 @@ def _cycle_cells(orbit: Orbit, reference: Orbit | None, estimate: ErrorEstimate 
 def remarks(orbit: Orbit, machine: Machine, band: StictionBand | None = None) -> list[str]:
     """Return what is special about an orbit, and where a linear one leaves what the machine can do."""
     found: list[str] = []
-    if not orbit.is_unique:
+    if not orbit.is_isolated:
         within = f", {1e3 * band.lowest:.2f} to {1e3 * band.highest:.2f} mm" if band else ""
-        found.append(f"one of a stiction band{within}")
+        found.append(f"{orbit.rest or 'one of a stiction band'}{within}")
+    elif orbit.rest:
+        found.append(orbit.rest)
     if orbit.n_periods > 1:
         found.append(f"repeats every {orbit.n_periods} periods")
     low, high = orbit.minimum("position"), orbit.maximum("position")
@@ -290,8 +302,8 @@ def remarks(orbit: Orbit, machine: Machine, band: StictionBand | None = None) ->
     tolerance = 1e-9 + 1e-6 * (high - low)
     if low < lower - tolerance or high > upper + tolerance:
         found.append("passes the end stops")
-    elif low <= lower + tolerance or high >= upper - tolerance:
-        found.append("rests on an end stop")
+    elif not orbit.rest and (low <= lower + tolerance or high >= upper - tolerance):
+        found.append("reaches an end stop")
     lowest = machine.gas.vapor_pressure if isinstance(machine.gas, Liquid) else 0.0
     for name in machine.states[2 : 2 + machine.n_volumes]:
         if orbit.minimum(name) <= 0:
@@ -303,6 +315,14 @@ def remarks(orbit: Orbit, machine: Machine, band: StictionBand | None = None) ->
         if orbit.maximum(name) > 1.02 * machine.supply_pressure:
             found.append(f"{name.replace('_', ' ')} above supply")
     return found
+
+
+def depends(settled: Attractors | None) -> list[str]:
+    """Return where else the machine settles from other starts, if it does."""
+    if settled is None or settled.is_single or not settled.orbits:
+        return []
+    others = [describe(orbit) for i, orbit in enumerate(settled.orbits) if i != settled.reached[0]]
+    return [f"depends on the start: also {'; '.join(others) or 'what does not repeat'}"]
 
 
 def response_table(study: Study) -> str:
@@ -326,7 +346,7 @@ def _response_remark(study: Study, column: int) -> str:
     response = study.response
     row = response.models.index("nonlinear")
     found: list[str] = []
-    if response.is_unique[row, column] == 0:
+    if response.is_isolated[row, column] == 0:
         found.append("stiction band")
     if response.n_periods[row, column] > 1:
         found.append(f"period {int(response.n_periods[row, column])}")

@@ -10,8 +10,10 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu._values import Value
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.amplitude import MODELS, AmplitudeResponse, amplitude_response
+from ltvpneu.models.attractors import Attractors, attractors
 from ltvpneu.models.cycle_floquet import cycle_floquet
 from ltvpneu.models.error_estimate import ErrorEstimate
 from ltvpneu.models.linearize import LtvModel
@@ -21,31 +23,33 @@ from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear import nonlinear_orbit
 from ltvpneu.models.staircase import default_steps
 from ltvpneu.models.stiction_band import StictionBand, stiction_band
-from ltvpneu.models.variational import OrbitFloquet, orbit_floquet
+from ltvpneu.models.variational import orbit_floquet
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Case:
+class Case(Value):
     """One frequency, worked through. What failed is absent from the dicts and stands in `failures`."""
 
     machine: Machine
     frequency: float
     models: dict[str, LtvModel]
-    floquets: dict[str, Floquet | OrbitFloquet]
+    floquets: dict[str, Floquet]
     orbits: dict[str, Orbit]
     estimates: dict[str, ErrorEstimate]
     """How far off the linear models say they are, without the nonlinear one."""
     bands: dict[str, StictionBand]
     """Where the piston stays at rest, if its orbit is one of a stiction band."""
+    attractors: dict[str, Attractors]
+    """What the nonlinear machine settles on from other starts."""
     failures: dict[str, str]
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Study:
+class Study(Value):
     """Everything that `ltvpneu study` prints and draws."""
 
     machine: Machine
@@ -106,6 +110,7 @@ def run_case(machine: Machine, frequency: float, n_steps: int | None, operating_
         orbits={},
         estimates={},
         bands={},
+        attractors={},
         failures={},
     )
     for name in MODELS:
@@ -129,8 +134,9 @@ def run_case(machine: Machine, frequency: float, n_steps: int | None, operating_
 def _add_nonlinear(case: Case) -> None:
     machine = case.machine
     orbit = case.orbits["nonlinear"] = nonlinear_orbit(machine, case.frequency)
+    case.attractors["nonlinear"] = attractors(machine, case.frequency)
     case.floquets["nonlinear"] = orbit_floquet(machine, orbit)
-    if not orbit.is_unique:
+    if not orbit.is_isolated:
         case.bands["nonlinear"] = stiction_band(machine, case.frequency)
 
 

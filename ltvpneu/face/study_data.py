@@ -8,11 +8,12 @@ import numpy as np
 
 from ltvpneu.face.report import remarks
 from ltvpneu.face.study import Case, Study
+from ltvpneu.models.attractors import Attractors
 from ltvpneu.models.error_estimate import ErrorEstimate
+from ltvpneu.models.failed_point import FailedPoint
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.operating_points import quasi_static_turn
-from ltvpneu.models.variational import OrbitFloquet
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 
@@ -33,11 +34,9 @@ def study_data(study: Study) -> dict[str, Any]:
                 "amplitudes": {m: response.amplitudes[i] for i, m in enumerate(response.models)},
                 "means": {m: response.means[i] for i, m in enumerate(response.models)},
                 "n_periods": {m: response.n_periods[i] for i, m in enumerate(response.models)},
-                "is_unique": {m: response.is_unique[i] for i, m in enumerate(response.models)},
+                "is_isolated": {m: response.is_isolated[i] for i, m in enumerate(response.models)},
                 "nonlinear_amplitudes_without_dry_friction": study.frictionless_amplitudes,
-                "failures": [
-                    {"model": f.model, "frequency": f.frequency, "error": str(f.error)} for f in response.failures
-                ],
+                "failures": [failure_data(failed) for failed in response.failures],
             },
         }
     )
@@ -50,6 +49,7 @@ def machine_data(machine: Machine) -> dict[str, Any]:
         "name": machine.name,
         "supply_pressure": machine.supply_pressure,
         "exhaust_pressure": machine.exhaust_pressure,
+        "ambient_pressure": machine.ambient_pressure,
         "duty": machine.duty,
         "collapse": machine.collapse,
         "states": list(machine.states),
@@ -79,6 +79,7 @@ def case_data(case: Case) -> dict[str, Any]:
         "orbits": {name: orbit_data(orbit, case.machine) for name, orbit in case.orbits.items()},
         "estimated_errors": {name: estimate_data(estimate) for name, estimate in case.estimates.items()},
         "stiction_bands": {name: {"lowest": b.lowest, "highest": b.highest} for name, b in case.bands.items()},
+        "attractors": {name: attractors_data(found) for name, found in case.attractors.items()},
         "failures": case.failures,
     }
 
@@ -100,13 +101,13 @@ def model_data(model: LtvModel) -> dict[str, Any]:
     }
 
 
-def floquet_data(found: Floquet | OrbitFloquet) -> dict[str, Any]:
+def floquet_data(found: Floquet) -> dict[str, Any]:
     """Return multipliers and verdict; of a nonlinear orbit, over its own period."""
     return {
         "multipliers": [[value.real, value.imag] for value in found.multipliers],
         "log_moduli": found.log_moduli,
         "spectral_radius": found.spectral_radius,
-        "margin": found.margin if isinstance(found, Floquet) else None,
+        "margin": found.margin,
         "verdict": found.verdict,
     }
 
@@ -131,7 +132,8 @@ def orbit_data(orbit: Orbit, machine: Machine) -> dict[str, Any]:
     """Return the figures of an orbit."""
     return {
         "remarks": remarks(orbit, machine),
-        "is_unique": orbit.is_unique,
+        "is_isolated": orbit.is_isolated,
+        "rest": orbit.rest,
         "n_periods": orbit.n_periods,
         "residual": orbit.residual,
         "initial_state": orbit.initial_state,
@@ -146,6 +148,29 @@ def orbit_data(orbit: Orbit, machine: Machine) -> dict[str, Any]:
             for name in orbit.signals
         },
     }
+
+
+def attractors_data(found: Attractors) -> dict[str, Any]:
+    """Return what a machine settles on from different starts."""
+    return {
+        "is_single": found.is_single,
+        "n_starts": len(found.starts),
+        "orbits": [
+            {
+                "share": share,
+                "mean": orbit.mean("position"),
+                "amplitude": orbit.amplitude("position"),
+                "n_periods": orbit.n_periods,
+                "rest": orbit.rest,
+            }
+            for share, orbit in zip(found.shares, found.orbits, strict=True)
+        ],
+    }
+
+
+def failure_data(failed: FailedPoint) -> dict[str, Any]:
+    """Return a point without an answer, with every coordinate."""
+    return {"model": failed.model, "frequency": failed.frequency, "duty": failed.duty, "error": str(failed.error)}
 
 
 def plain(value: Any) -> Any:

@@ -6,12 +6,14 @@ from typing import Any, final
 
 import numpy as np
 
+from ltvpneu._values import Value
 from ltvpneu.design import DutyMap, DutySolution, StabilityMap, duty_map, optimize_duty, stability_map
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.optimize import optimum_data, optimum_text
 from ltvpneu.face.report import heading, table
-from ltvpneu.face.study_data import plain
+from ltvpneu.face.study_data import failure_data, plain
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.orbit_map import DEPENDS
 
 DUTIES = np.linspace(0.05, 0.95, 19)
 MAP_DUTIES, N_FREQUENCIES = np.linspace(0.1, 0.9, 13), 12
@@ -23,7 +25,7 @@ N_PARTS = 10
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Example:
+class Example(Value):
     """What the worked optimum is asked for."""
 
     frequency: float
@@ -36,7 +38,7 @@ class Example:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class DesignStudy:
+class DesignStudy(Value):
     """Everything of the design part; an example or an optimum that is not there has its reason in `failure`."""
 
     duties: DutyMap
@@ -79,10 +81,15 @@ def example_of(found: DutyMap, frequency: float) -> Example:
     Raises
     ------
     ValueError
-        The piston moves at no duty.
+        The piston moves at no duty, or no duty holds it between its ends.
     """
     row = found.row(frequency)
-    moving = np.array([kind in ("unique", "subharmonic") for kind in found.orbits.kinds[row]])
+    if found.orbits.unheld(frequency) is not None:
+        raise ValueError(found.orbits.remark(frequency))
+    moving = np.array(
+        [kind in ("unique", "subharmonic") and not branches[0].rest
+         for kind, branches in zip(found.orbits.kinds[row], found.orbits.branches[row], strict=True)]
+    )  # fmt: skip
     if not moving.any():
         raise ValueError(f"at {frequency:g} Hz the piston moves at no duty of the map: there is nothing to optimize")
     means, amplitudes = found.means[row][moving], found.amplitudes[row][moving]
@@ -115,12 +122,16 @@ def duty_table(found: DutyMap) -> str:
         for row in range(orbits.frequencies.size):
             shown = f"{1e3 * found.means[row, column]:.2f} / {1e3 * found.amplitudes[row, column]:.2f}"
             kind = orbits.kinds[row][column]
-            named = {"band": f"({shown})", "chaotic": "chaotic", "failed": "failed"}
+            means = " or ".join(f"{1e3 * branch.mean:.2f}" for branch in orbits.branches[row][column])
+            named = {"band": f"({shown})", "chaotic": "chaotic", "failed": "failed", DEPENDS: f"{means} *"}
             cells.append(named.get(kind, shown))
         rows.append([f"{duty:.2f}", *cells])
     header = ["duty", *(f"{frequency:g} Hz mean / amplitude [mm]" for frequency in orbits.frequencies)]
     held = "\n  (In brackets: stiction holds the piston there; where it rests is decided by how it came.)"
-    return table(header, rows) + (held if orbits.count("band") else "")
+    start = "\n  (* depends on the start: the means of all orbits that were found.)"
+    lines = [table(header, rows) + (held if orbits.count("band") else "") + (start if orbits.count(DEPENDS) else "")]
+    lines += [f"  {remark}" for frequency in orbits.frequencies if (remark := orbits.remark(float(frequency)))]
+    return "\n".join(lines)
 
 
 def stability_text(found: StabilityMap) -> str:
@@ -133,7 +144,8 @@ def stability_text(found: StabilityMap) -> str:
         f"{np.nanmax(found.spectral_radii):.4g}."
         if np.isfinite(found.spectral_radii).any()
         else "  No LTV model was found at any point.",
-        f"  Held by stiction: {int((~found.is_unique & np.isfinite(found.amplitudes)).sum())} points.",
+        f"  Held by stiction: {int((~found.is_isolated & np.isfinite(found.amplitudes)).sum())} points. Depends on the "
+        f"start: {int(found.depends_on_start.sum())} points.",
     ]
     if found.box is None or found.certificate is None:
         lines.append(
@@ -150,7 +162,7 @@ def stability_text(found: StabilityMap) -> str:
             f"{int(found.is_certified.sum())} points;",
             f"  at {int((found.is_certified & found.stays_in_box).sum())} the machine's whole cycle stays in the box.",
         ]
-    lines += sorted({f"  failed: {f.frequency:g} Hz {f.model}: {f.error}" for f in found.failures})
+    lines += sorted({f"  failed: {f.where} {f.model}: {f.error}" for f in found.failures})
     return "\n".join(lines)
 
 
@@ -166,22 +178,23 @@ def design_data(found: DesignStudy) -> dict[str, Any]:
                 "means": found.duties.means,
                 "amplitudes": found.duties.amplitudes,
                 "kinds": [list(row) for row in orbits.kinds],
+                "branches": [[[vars(branch) for branch in point] for point in row] for row in orbits.branches],
+                "remarks": [orbits.remark(float(frequency)) for frequency in orbits.frequencies],
             },
             "stability_map": {
                 "frequencies": stability.frequencies,
                 "duties": stability.duties,
                 "spectral_radii": stability.spectral_radii,
                 "amplitudes": stability.amplitudes,
-                "is_unique": stability.is_unique,
+                "is_isolated": stability.is_isolated,
+                "depends_on_start": stability.depends_on_start,
                 "decay_rates": stability.decay_rates,
                 "stays_in_box": stability.stays_in_box,
                 "box": None if box is None else {"position": box.position, "pressures": box.pressures},
                 "certificate": None
                 if certificate is None
                 else {"decay_rate": certificate.decay_rate, "P": certificate.functions[0]},
-                "failures": [
-                    {"model": f.model, "frequency": f.frequency, "error": str(f.error)} for f in stability.failures
-                ],
+                "failures": [failure_data(failed) for failed in stability.failures],
             },
             "example": None if found.example is None else dict(vars(found.example)),
             "optimum": None if found.optimum is None else optimum_data(found.optimum),

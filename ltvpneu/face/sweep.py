@@ -9,18 +9,22 @@ from typing import Any, final
 import numpy as np
 from tqdm import tqdm
 
+from ltvpneu._values import Value
 from ltvpneu.face.report import table
-from ltvpneu.face.study_data import plain
+from ltvpneu.face.study_data import failure_data, plain
 from ltvpneu.models.ltv import OperatingPoints
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.maps import KINDS, OrbitMap, ValidityMap, orbit_map, validity_map
+from ltvpneu.models.orbit_map import KINDS, Branch, OrbitMap, orbit_map
+from ltvpneu.models.validity_map import ValidityMap, validity_map
 
 LARGEST = sys.float_info.max
+MOST_SHOWN = 5
+"""Points at which the start decides that a text lists."""
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Sweep:
+class Sweep(Value):
     """Both maps over the same grid."""
 
     orbits: OrbitMap
@@ -77,9 +81,29 @@ def sweep_text(sweep: Sweep) -> str:
     for limit in (0.01, 0.05, 0.2):
         lines.append(f"  at most {100 * limit:>2g} %: {int((errors <= limit).sum())} of {total} points")
     lines.append(f"  without a figure, the piston resting or no cycle found: {total - known}")
+    lines += _dependent_points(orbits)
     for failure in (*orbits.failures, *validity.failures):
-        lines.append(f"  {failure.model} at {failure.frequency:g} Hz: {failure.error}")
+        lines.append(f"  {failure.model} at {failure.where}: {failure.error}")
     return "\n".join(lines)
+
+
+def _dependent_points(orbits: OrbitMap) -> list[str]:
+    """Return where the start decides, and between what; and which positions no duty holds."""
+    lines: list[str] = []
+    points = np.argwhere(orbits.depends_on_start)
+    for row, column in points[:MOST_SHOWN]:
+        found = " or ".join(_branch_text(branch) for branch in orbits.branches[row][column])
+        where = f"{orbits.frequencies[row]:g} Hz, duty {orbits.duties[column]:g}"
+        lines.append(f"  depends on the start at {where}: {found}")
+    if len(points) > MOST_SHOWN:
+        lines.append(f"  and at {len(points) - MOST_SHOWN} more points; all are in the JSON")
+    remark = orbits.remark()
+    return [*lines, *([f"  {remark}"] if remark else [])]
+
+
+def _branch_text(branch: Branch) -> str:
+    periods = f", {branch.n_periods} periods" if branch.n_periods > 1 else ""
+    return branch.rest or f"mean {1e3 * branch.mean:.4g} mm, amplitude {1e3 * branch.amplitude:.4g} mm{periods}"
 
 
 def sweep_data(sweep: Sweep) -> dict[str, Any]:
@@ -91,12 +115,13 @@ def sweep_data(sweep: Sweep) -> dict[str, Any]:
         {
             "units": "SI: m, s, Hz; rows are frequencies, columns duties",
             "machine": orbits.machine.name,
-            "nonlinear": {name: getattr(orbits, name) for name in names},
+            "nonlinear": {
+                **{name: getattr(orbits, name) for name in names},
+                "branches": [[[vars(branch) for branch in found] for found in row] for row in orbits.branches],
+                "remark": orbits.remark(),
+            },
             "ltv": {name: getattr(validity, name) for name in linear},
-            "failures": [
-                {"model": f.model, "frequency": f.frequency, "error": str(f.error)}
-                for f in (*orbits.failures, *validity.failures)
-            ],
+            "failures": [failure_data(failed) for failed in (*orbits.failures, *validity.failures)],
         }
     )
 

@@ -1,13 +1,12 @@
 """Quantities with units, as they stand in a machine file: "0.41 MPa", "8.2 cm^3", "20 degC", "3.1 bar(g)".
 
-Plain numbers are SI. Pressures are absolute; the suffix (g) marks a gauge pressure, over one standard atmosphere.
+Plain numbers are SI. Pressures are absolute; the suffix (g) marks a gauge pressure, over the ambient pressure.
 """
 
 import re
 from typing import Literal
 
-ATMOSPHERE = 101325.0
-"""What a gauge pressure is counted from [Pa]."""
+from ltvpneu.physics.cylinder import ATMOSPHERE
 
 INCH, POUND_FORCE = 0.0254, 4.4482216152605
 
@@ -50,7 +49,7 @@ _EXAMPLES: dict[Dimension, str] = {
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*(.*?)\s*$")
 
 
-def parse(value: object, dimension: Dimension) -> float:
+def parse(value: object, dimension: Dimension, ambient: float = ATMOSPHERE) -> float:
     """Return a quantity of a machine file in SI units.
 
     Parameters
@@ -59,6 +58,8 @@ def parse(value: object, dimension: Dimension) -> float:
         A plain number is SI; a string is a number and a unit.
     dimension : str
         What it must be.
+    ambient : float
+        What a gauge pressure is counted from [Pa].
 
     Raises
     ------
@@ -81,7 +82,7 @@ def parse(value: object, dimension: Dimension) -> float:
     number, unit = float(match[1]), _normal(match[2])
     offset = 0.0
     if unit.endswith("(g)") or unit in ("barg", "psig"):
-        unit, offset = (unit[:-3] if unit.endswith("(g)") else unit[:-1]), ATMOSPHERE
+        unit, offset = (unit[:-3] if unit.endswith("(g)") else unit[:-1]), ambient
     elif unit.endswith("(a)"):
         unit = unit[:-3]
     unit = unit.strip()

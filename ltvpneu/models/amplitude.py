@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array, read_only
+from ltvpneu._values import Value
 from ltvpneu.errors import LtvpneuError
+from ltvpneu.models.failed_point import FailedPoint
 from ltvpneu.models.lti import lti_model
 from ltvpneu.models.ltv import OperatingPoints, ltv_model
 from ltvpneu.models.machine import Machine
@@ -20,19 +22,8 @@ MODELS: tuple[Model, ...] = ("nonlinear", "ltv", "lti")
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
-class FailedPoint:
-    """A point of a sweep that has no answer, and why."""
-
-    model: str
-    frequency: float
-    """[Hz]"""
-    error: Exception
-
-
-@final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class AmplitudeResponse:
+class AmplitudeResponse(Value):
     """Amplitude and mean of the position over frequency; nan where a point failed, with the reason in `failures`."""
 
     machine: Machine
@@ -45,8 +36,8 @@ class AmplitudeResponse:
     """Time means [m], likewise."""
     n_periods: FloatArray
     """Valve periods after which each orbit repeats, likewise."""
-    is_unique: FloatArray
-    """1 where the orbit is unique, 0 in a stiction band, likewise."""
+    is_isolated: FloatArray
+    """1 where the orbit is isolated, 0 in a stiction band, likewise."""
     failures: tuple[FailedPoint, ...]
 
     def amplitude(self, model: str) -> FloatArray:
@@ -97,19 +88,19 @@ def amplitude_response(
         if model not in MODELS:
             raise ValueError(f"models: found {model!r}, expected {', '.join(MODELS)}")
     shape = (len(models), grid.size)
-    table = {name: np.full(shape, np.nan) for name in ("amplitudes", "means", "n_periods", "is_unique")}
+    table = {name: np.full(shape, np.nan) for name in ("amplitudes", "means", "n_periods", "is_isolated")}
     failures: list[FailedPoint] = []
     for column, frequency in enumerate(grid):
         for row, model in enumerate(models):
             try:
                 orbit = _orbit(machine, float(frequency), model, n_steps, operating_points)
             except (LtvpneuError, ValueError) as error:
-                failures.append(FailedPoint(model=model, frequency=float(frequency), error=error))
+                failures.append(FailedPoint(model=model, frequency=float(frequency), duty=machine.duty, error=error))
                 continue
             table["amplitudes"][row, column] = orbit.amplitude("position")
             table["means"][row, column] = orbit.mean("position")
             table["n_periods"][row, column] = orbit.n_periods
-            table["is_unique"][row, column] = orbit.is_unique
+            table["is_isolated"][row, column] = orbit.is_isolated
         if progress is not None:
             progress(1)
     return AmplitudeResponse(

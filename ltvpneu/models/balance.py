@@ -18,6 +18,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, positive, read_only
 from ltvpneu._compiled import compiled
+from ltvpneu._values import Value
 from ltvpneu.models.dynamics import chamber_volume, enthalpy_of, flow_into, gas_at_source, gas_in_volume
 from ltvpneu.models.integrator import OK, Record, integrate_period
 from ltvpneu.models.machine import Machine
@@ -37,7 +38,7 @@ CLOSES = 1e-3
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Balance:
+class Balance(Value):
     """What passed through each volume over one period of an orbit, arrays of shape (n_volumes,)."""
 
     volumes: tuple[str, ...]

@@ -10,6 +10,7 @@ from typing import Literal, final
 import numpy as np
 
 from ltvpneu._arrays import finite, not_negative
+from ltvpneu._values import Value
 from ltvpneu.physics.profile import Profile, merge_angles
 from ltvpneu.physics.proportional import Command
 from ltvpneu.physics.valve import Phase, RotaryValve, check_phase
@@ -23,7 +24,7 @@ CHAMBERS = ("chamber_1", "chamber_2")
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class FlowPath:
+class FlowPath(Value):
     """A restriction between a source and a chamber that is not a port of a rotary valve.
 
     Parameters
@@ -78,7 +79,7 @@ class FlowPath:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Connection:
+class Connection(Value):
     """One path of flow as the models see it: a source, a volume that it leads to, effective areas C A over the turn.
 
     The source is "supply", "exhaust" or another volume. `second` is the restriction on the side of the volume where two

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Literal, NamedTuple, final
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu._values import Value
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 
@@ -41,7 +42,7 @@ class Slopes(NamedTuple):
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CycleFigures:
+class CycleFigures(Value):
     """A cycle's figures at one setting of the parameters; the derivatives are worked out when first asked for."""
 
     machine: Machine

@@ -7,20 +7,20 @@ steps kept as they are, their product may grow without bound where the machine i
 
 from dataclasses import replace
 
+import numpy as np
+
 from ltvpneu._arrays import FloatArray, read_only
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.own_cycle import Found
 from ltvpneu.models.parameters import STATE_STEP, TOLERANCE, march_beside, slopes_along_turn
-from ltvpneu.models.variational import OrbitFloquet
-from ltvpneu.periodic.floquet import Floquet, floquet
-from ltvpneu.periodic.product import product_multipliers
+from ltvpneu.periodic.floquet import Floquet, Maps, floquet, orbit_multipliers
 
 MARGIN = TOLERANCE / STATE_STEP
 """How far differences may put a multiplier off [-]."""
 
 
-def cycle_floquet(model: LtvModel) -> Floquet | OrbitFloquet:
+def cycle_floquet(model: LtvModel) -> Floquet:
     """Return the Floquet multipliers of a linear model's cycle.
 
     Parameters
@@ -31,7 +31,7 @@ def cycle_floquet(model: LtvModel) -> Floquet | OrbitFloquet:
 
     Returns
     -------
-    Floquet or OrbitFloquet
+    Floquet
 
     Raises
     ------
@@ -56,9 +56,13 @@ def cycle_floquet(model: LtvModel) -> Floquet | OrbitFloquet:
 
     at = model.machine, model.frequency, model.orbit.initial_state
     monodromy = slopes_along_turn(end, at, ()).by_state
-    return OrbitFloquet(
-        orbit=model.orbit,
-        product=product_multipliers([monodromy * scales / scales[:, None]]),
-        monodromy=read_only(monodromy),
-        margin=MARGIN,
+    if not model.orbit.is_isolated:
+        # Set beside, within the stiction band, the piston stays, also where this cycle creeps to the band's edge.
+        monodromy[:, 0] = np.eye(scales.size)[0]
+    maps = Maps(
+        factors=read_only(monodromy * scales / scales[:, None])[None],
+        durations=np.array([model.orbit.period]),
+        starts=np.zeros(1, dtype=np.int64),
+        scales=scales,
     )
+    return orbit_multipliers(model.orbit, maps, MARGIN)

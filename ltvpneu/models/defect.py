@@ -17,7 +17,7 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
 from ltvpneu.models.dynamics import STUCK
 from ltvpneu.models.events import after_event, margin_at, mode_of
-from ltvpneu.models.machine_arrays import MachineArrays
+from ltvpneu.models.machine_arrays import N_INPUTS, MachineArrays
 from ltvpneu.models.step_models import DECAY_AT_REST, Tangent, augmented, tangent_at
 from ltvpneu.periodic.small import apply, exponential
 from ltvpneu.physics.friction import holding_force
@@ -121,7 +121,7 @@ def sweep(start: FloatArray, given: Given) -> Swept:
     """Follow the linear steps once over the staircase from a scaled augmented state, shape (n + 1,)."""
     machine, scales = given.machine, given.scales
     n = scales.size
-    found = Tangent(np.empty((n, n)), np.empty((n, 3)), np.empty(n), np.zeros(n))
+    found = Tangent(np.empty((n, n)), np.empty((n, N_INPUTS)), np.empty(n), np.zeros(n), np.empty(n))
     matrix, result, mean = np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
     state, end, means, z = start.copy(), np.empty(n + 1), np.empty(n + 1), np.empty(n)
     lows, highs, sums = np.full(n, math.inf), np.full(n, -math.inf), np.zeros(n)

@@ -4,7 +4,8 @@ r"""The machine's equations (3)-(7), compiled; every model calls these kernels.
     \dot x = v, \qquad M_t \dot v = F_e - C_v v - F_d \operatorname{sign} v, \qquad
     \dot p_k = \frac{n_k}{V_k} \left( R T_k \sum_i \dot m_{ik} - p_k \frac{dV_k}{dx} v \right)
 
-with F_e = sum of push areas times pressures - K_s x + external force, (7b) with erratum E4. That is the ideal gas in a
+with F_e = sum of push areas times pressures - K_s x + external force, (7b) with erratum E4, and the push of the ambient
+air on rods and on a side that is open (`physics.cylinder`), which the paper leaves out. That is the ideal gas in a
 polytropic chamber. In general a volume of density rho(p, T) has d(rho V)/dt = M, its mass flow; where T follows from p,
 
 .. math:: \dot p = \frac{M - \rho \dot V}{V \, d\rho/dp}
@@ -78,7 +79,7 @@ def chamber_volume(k: int, position: float, machine: MachineArrays) -> float:
 def external_force(state: FloatArray, machine: MachineArrays) -> float:
     """F_e, all forces on the piston but friction [N], (7b)."""
     load = machine.load
-    force = load.force - load.spring_stiffness * state[0] + load.open_push_area * machine.exhaust.pressure
+    force = load.force - load.spring_stiffness * state[0] + load.ambient_push_area * load.ambient_pressure
     for k in range(machine.chambers.shape[0]):
         force += machine.chambers[k, 3] * state[2 + k]
     return force

@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, read_only
+from ltvpneu._values import Value
 from ltvpneu.models.defect import Given, corrected
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.staircase import step_means
@@ -31,7 +32,7 @@ share of the amplitude."""
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class ErrorEstimate:
+class ErrorEstimate(Value):
     """Estimated errors of a linear model's cycle: the model's value less the nonlinear machine's, each (n_states,).
 
     Examples
@@ -81,7 +82,7 @@ class ErrorEstimate:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Corrector:
+class _Corrector(Value):
     machine: Machine
     frequency: float
     orbit: Orbit

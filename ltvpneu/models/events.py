@@ -16,6 +16,9 @@ from ltvpneu.models.runge_kutta import Run, Workspace
 from ltvpneu.physics.friction import holding_force, slip_direction
 from ltvpneu.physics.properties import LIQUID
 
+STOP_ROUNDING = 1e-15
+"""Relative distance from a stop that is rounding [-]."""
+
 
 @inlined
 def _value(coefficients: FloatArray, component: int, share: float) -> float:
@@ -27,12 +30,37 @@ def _value(coefficients: FloatArray, component: int, share: float) -> float:
 
 
 @compiled
+def at_stop(position: float, machine: MachineArrays) -> int:
+    """Return the stop that a position is at: -1 the lower, 1 the upper, 0 neither.
+
+    States that were scaled and back are off by rounding.
+    """
+    lower, upper = machine.load.lower_stop, machine.load.upper_stop
+    # False where there is no stop: infinity less infinity is no number.
+    if position <= lower + STOP_ROUNDING * abs(lower):
+        return -1
+    if position >= upper - STOP_ROUNDING * abs(upper):
+        return 1
+    return 0
+
+
+@compiled
 def _holds(position: float, machine: MachineArrays) -> tuple[float, float]:
     """Return the forces that a resting piston withstands towards lower and higher positions [N]."""
     hold = holding_force(machine.load.dry_friction, machine.load.stiction)
-    down = math.inf if position <= machine.load.lower_stop else hold
-    up = math.inf if position >= machine.load.upper_stop else hold
-    return down, up
+    side = at_stop(position, machine)
+    return (math.inf if side < 0 else hold), (math.inf if side > 0 else hold)
+
+
+@compiled
+def is_pressed(state: FloatArray, machine: MachineArrays) -> bool:
+    """Whether a piston at rest at a stop is pressed on it by more than stiction would hold beside it.
+
+    Then a move off the stop does not last: the force brings the piston back.
+    """
+    side = at_stop(state[0], machine)
+    hold = holding_force(machine.load.dry_friction, machine.load.stiction)
+    return side != 0 and side * external_force(state, machine) > hold
 
 
 @compiled

@@ -16,10 +16,12 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray
+from ltvpneu._arrays import FloatArray, IntArray
+from ltvpneu._values import Value
 from ltvpneu.errors import NonUniqueOrbitError, NotConvergedError
 from ltvpneu.models.cycle_figures import CycleFigures, Figure, Slopes
 from ltvpneu.models.dynamics import STUCK
+from ltvpneu.models.events import at_stop
 from ltvpneu.models.integrator import OK
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
@@ -33,7 +35,7 @@ from ltvpneu.periodic.exponential import ExponentialTrajectory
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class LinearCycle:
+class LinearCycle(Value):
     """A cycle of a linear model whose every cell is a piece of the openings, or a part of one."""
 
     question: Question
@@ -81,7 +83,7 @@ class LinearCycle:
 
     def expect_unique(self) -> None:
         """Raise where the piston rests in a stiction band."""
-        if any((steps.table[:, 1] == STUCK).all() for steps in self.periods) and not self.model.orbit.is_unique:
+        if any((steps.table[:, 1] == STUCK).all() for steps in self.periods) and not self.model.orbit.is_isolated:
             free = np.zeros((self.plan.scales.size, 1))
             free[0] = 1.0
             raise NonUniqueOrbitError(
@@ -256,13 +258,28 @@ class _Differences:
         plan, starts = self.cycle.plan, self.base.starts
         N, n = starts.shape[0], starts.shape[1] - 1
         found, probes = np.empty((N, 2 * n + 1, n)), np.empty((self.K, n, n))
+        machine, length = plan.run.machine, plan.scales[0]
+        away = np.array([-at_stop(float(x) * length, machine) for x in starts[:, 0]])
         for j in range(n):
-            move = np.zeros(n + 1)
-            move[j] = STATE_STEP
+            move = np.zeros((N, n + 1))
+            # Beyond a stop there is no motion: there both moves go into the stroke.
+            sides = away if j < 2 else np.zeros_like(away)
+            move[:, j] = STATE_STEP * np.where(sides == 0, 1, 2 * sides)
             up = self._march(plan, starts + move, self.durations, False)
-            down = self._march(plan, starts - move, self.durations, False)
+            move[:, j] = STATE_STEP * np.where(sides == 0, -1, sides)
+            down = self._march(plan, starts + move, self.durations, False)
             found[:, :, j], probes[:, :, j] = self._between(up, down, 2 * STATE_STEP)
+            if sides.any():
+                one = self._into_stroke(up, down, sides)
+                found[sides != 0, :, j], probes[sides[self.probes.cells] != 0, :, j] = one
         return found, probes
+
+    def _into_stroke(self, far: Turn, near: Turn, sides: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the slopes of cells at a stop, by two moves into the stroke, and of the probes in them."""
+        width = np.where(sides == 0, 1, 2 * sides) * STATE_STEP
+        by_near, by_far = self._between(near, self.base, width), self._between(far, self.base, width)
+        cells, seen = sides != 0, sides[self.probes.cells] != 0
+        return (4 * by_near[0] - by_far[0])[cells], (4 * by_near[1] - by_far[1])[seen]
 
     def _by_duration(self) -> tuple[FloatArray, FloatArray]:
         """Return slopes over the cells' durations, (N, 2 n + 1) and (K, n)."""

@@ -1,11 +1,12 @@
 r"""Linearization of the machine's equations to G_m, B_m, f_m, eq. (8), and how a model of steps is put together.
 
-With source pressures and load force as inputs u, step m is z' = G_m z + B_m u + r_m, and f_m = B_m u + r_m. M_f is
-homogeneous of degree one in its two pressures, so alpha + beta pbar = (dM_f/dp_i) p_i: in isothermal chambers the
-paper's linearization needs no remainder, r_m = 0, and superposition holds in u. Errata E6, E7, E7b are proved in the
-tests against finite differences of the nonlinear right-hand side.
+With source pressures, load force and ambient pressure as inputs u, step m is z' = G_m z + B_m u + r_m, and f_m = B_m u
++ r_m. M_f is homogeneous of degree one in its two pressures, so alpha + beta pbar = (dM_f/dp_i) p_i: in isothermal
+chambers the paper's linearization needs no remainder, r_m = 0, and superposition holds in u. Errata E6, E7, E7b are
+proved in the tests against finite differences of the nonlinear right-hand side.
 """
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, final
@@ -14,6 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array
+from ltvpneu._values import Value
+from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.dynamics import gas_in_volume, state_rate
 from ltvpneu.models.error_estimate import ErrorEstimate, error_estimate
 from ltvpneu.models.machine import Machine
@@ -31,13 +34,13 @@ Tangent = Literal["paper", "full"]
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Linearization:
+class Linearization(Value):
     """z' = A z + B u + r near one state of the machine, or a stack of these."""
 
     A: FloatArray
     """G, (..., n, n)"""
     B: FloatArray
-    """Over supply pressure, exhaust pressure, load force, (..., n, 3)"""
+    """Over supply, exhaust pressure, load force, ambient pressure, (..., n, 4)"""
     r: FloatArray
     """(..., n)"""
     f: FloatArray
@@ -164,7 +167,7 @@ def _check_domain(machine: Machine, states: FloatArray) -> None:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class HeldBack:
+class HeldBack(Value):
     """An operating point that was kept inside the range where the linearization means something.
 
     In a self-consistent model the point itself stays, and its slope is, in part, that of the chord from it to a
@@ -180,7 +183,7 @@ class HeldBack:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class LtvModel:
+class LtvModel(Value):
     """A machine as a periodic linear system: what `ltv_model` and `lti_model` return."""
 
     system: PeriodicSystem
@@ -203,9 +206,10 @@ class LtvModel:
     """How it was found, for `parameter_sensitivity`."""
 
     def __repr__(self) -> str:
+        outside = f", passes the end stops by {1e3 * self.beyond_stops:.3g} mm" if self.beyond_stops > 0 else ""
         return (
             f"<LtvModel of {self.machine.name} at {self.frequency:g} Hz: {self.system.n_steps} steps, operating points "
-            f"{self.mode!r}, {len(self.held_back)} held back>"
+            f"{self.mode!r}, {len(self.held_back)} held back{outside}>"
         )
 
     @cached_property
@@ -233,6 +237,22 @@ class LtvModel:
         return error_estimate(self.machine, self.frequency, self.orbit, self.least_distance)
 
     @cached_property
+    def beyond_stops(self) -> float:
+        """How far the model's cycle passes an end stop [m]; zero where it does not, or has no cycle.
+
+        Steps with operating points of their own know no stops; "fitted" and "self-consistent" models stay within them.
+        """
+        low, high = self.machine.cylinder.lower_stop, self.machine.cylinder.upper_stop
+        if not self.machine.has_stops:
+            return 0.0
+        try:
+            orbit = self.orbit
+        except LtvpneuError:
+            return 0.0
+        passed = max(low - orbit.minimum(0), orbit.maximum(0) - high)
+        return passed if passed > 1e-9 * float(self.machine.state_scales[0]) else 0.0
+
+    @cached_property
     def residual(self) -> float:
         """Largest difference between the operating pressures and the means of the model's own cycle over the steps [-].
 
@@ -244,8 +264,21 @@ class LtvModel:
         return float(np.max(np.abs(differences))) / self.machine.supply_pressure
 
 
+def warn_outside(model: LtvModel) -> LtvModel:
+    """Return a model, with a warning if even the mean of its cycle lies beyond an end stop: no machine is there."""
+    cylinder = model.machine.cylinder
+    if model.beyond_stops > 0 and not cylinder.lower_stop <= model.orbit.mean(0) <= cylinder.upper_stop:
+        warnings.warn(
+            f"the cycle of the linear model lies beyond the cylinder's end stops, of which operating points "
+            f'{model.mode!r} know nothing (model.beyond_stops says by how far); take operating_points="fitted"',
+            UserWarning,
+            stacklevel=3,
+        )
+    return model
+
+
 def assemble(machine: Machine, durations: FloatArray, linearization: Linearization, name: str) -> PeriodicSystem:
-    """Return the steps as a `PeriodicSystem` whose inputs are the source pressures and the load force."""
+    """Return the steps as a `PeriodicSystem` whose inputs are the machine's."""
     N, n = linearization.r.shape
     outputs = np.zeros((N, n, n))
     outputs[:, range(n), range(n)] = 1.0

@@ -7,7 +7,7 @@ z' = Gavg z + f_m + (G_m - Gavg) zbar. The remainder of each step carries that t
 import numpy as np
 
 from ltvpneu._arrays import not_negative, positive
-from ltvpneu.models.linearize import Linearization, LtvModel, assemble, linearize_steps
+from ltvpneu.models.linearize import Linearization, LtvModel, assemble, linearize_steps, warn_outside
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.operating_points import LEAST_DISTANCE, Turn, held_inside, quasi_static_turn
 
@@ -52,7 +52,7 @@ def lti_model(
     50 mm
     """
     turn = quasi_static_turn(machine, n_steps)
-    return lti_model_of_turn(machine, frequency, turn, about_operating_point, least_distance)
+    return warn_outside(lti_model_of_turn(machine, frequency, turn, about_operating_point, least_distance))
 
 
 def lti_model_of_turn(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltvpneu._arrays import FloatArray, finite_array, not_negative, positive, whole
-from ltvpneu.models.linearize import LtvModel, Tangent, assemble, linearize_steps
+from ltvpneu.models.linearize import LtvModel, Tangent, assemble, linearize_steps, warn_outside
 from ltvpneu.models.lti import lti_model_of_turn
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.mesh import cut_schedule
@@ -84,8 +84,9 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     Returns
     -------
     LtvModel
-        Dry friction and stiction are neglected, as in the paper's section 6, but in "fitted" and "self-consistent"
-        models. `.error_estimate` says how far off it is.
+        Dry friction, stiction and end stops are neglected, as in the paper's section 6, but in "fitted" and
+        "self-consistent" models. `.error_estimate` says how far off it is, `.beyond_stops` how far it passes a stop;
+        where even its mean lies beyond one, a `UserWarning` says so.
 
     Raises
     ------
@@ -101,7 +102,7 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     >>> print(f"{1e3 * lp.steady_state(model.system).amplitude('position'):.0f} mm")
     40 mm
     >>> model.system.steps[0].sys.input_labels
-    ['supply_pressure', 'exhaust_pressure', 'load_force']
+    ['supply_pressure', 'exhaust_pressure', 'load_force', 'ambient_pressure']
 
     With dry friction, as accurate as asked for:
 
@@ -154,7 +155,7 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     else:
         linearization = linearize_steps(machine, points, stairs.areas, tangent)
         system = assemble(machine, np.diff(stairs.fractions) / frequency, linearization, f"{machine.identifier}_ltv")
-    return LtvModel(
+    model = LtvModel(
         system=system,
         machine=machine,
         frequency=float(frequency),
@@ -164,6 +165,7 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
         least_distance=least_distance,
         iterations=iterations,
     )
+    return warn_outside(model)
 
 
 def _following_its_cycle(question: Question, n_steps: int | None, spacing: Spacing, rtol: float | None) -> LtvModel:

@@ -12,7 +12,8 @@ from typing import Any, final
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray, positive, read_only
+from ltvpneu._arrays import FloatArray, not_negative, positive, read_only
+from ltvpneu._values import Value
 from ltvpneu.models.connections import (
     COLLAPSES,
     SOURCES,
@@ -22,8 +23,16 @@ from ltvpneu.models.connections import (
     check_ways,
     through_valve,
 )
-from ltvpneu.models.machine_arrays import EXHAUST, SUPPLY, LoadConstants, MachineArrays, OpeningTable, opening_table
-from ltvpneu.physics.cylinder import Cylinder
+from ltvpneu.models.machine_arrays import (
+    EXHAUST,
+    INPUTS,
+    SUPPLY,
+    LoadConstants,
+    MachineArrays,
+    OpeningTable,
+    opening_table,
+)
+from ltvpneu.physics.cylinder import ATMOSPHERE, Cylinder
 from ltvpneu.physics.gas import Gas, GasState
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.liquid import Liquid
@@ -39,7 +48,7 @@ Valve = RotaryValve | OnOffValve | ProportionalValve
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Machine:
+class Machine(Value):
     """A drive, pneumatic or hydraulic, switched by an on-off valve or moved by a proportional one.
 
     Parameters
@@ -47,6 +56,9 @@ class Machine:
     name : str
     supply_pressure, exhaust_pressure : float
         p_3, p_4 [Pa, absolute].
+    ambient_pressure : float
+        Of the air around the machine [Pa, absolute]. It pushes on rods, and on the side of the piston that is no
+        chamber.
     cylinder : Cylinder
     load : Load
     valve : RotaryValve, OnOffValve or ProportionalValve
@@ -79,9 +91,11 @@ class Machine:
     gas: Medium = Gas()  # noqa: RUF009 - a frozen value
     more_valves: tuple[OnOffValve | ProportionalValve, ...] = ()
     collapse: Collapse = "minimum"
+    ambient_pressure: float = ATMOSPHERE
 
     def __post_init__(self) -> None:
         positive("exhaust_pressure", self.exhaust_pressure, "Pa")
+        not_negative("ambient_pressure", self.ambient_pressure, "Pa")
         positive("supply_pressure", self.supply_pressure, "Pa")
         if self.supply_pressure < self.exhaust_pressure:
             raise ValueError(
@@ -119,7 +133,7 @@ class Machine:
             if chamber not in fed:
                 raise ValueError(
                     f"flow_paths: no path leads to {chamber}, expected at least one; leave out "
-                    f"dead_volume_{chamber[-1]} where that side is open to the return"
+                    f"dead_volume_{chamber[-1]} where that side is open to the ambient"
                 )
 
     def _check_medium(self) -> None:
@@ -256,6 +270,11 @@ class Machine:
         return self.load.dry_friction > 0 or self.load.stiction > 0
 
     @property
+    def has_stops(self) -> bool:
+        """Whether the cylinder has an end stop, or two."""
+        return math.isfinite(self.cylinder.lower_stop) or math.isfinite(self.cylinder.upper_stop)
+
+    @property
     def inner_volumes(self) -> tuple[InnerVolume, ...]:
         """Volumes inside the valve that are chambers of their own, in the order of its ports."""
         if self.collapse != "dynamic" or not isinstance(self.valve, RotaryValve):
@@ -298,13 +317,14 @@ class Machine:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the inputs: two pressures [Pa, absolute] and the external force [N] towards higher positions."""
-        return ("supply_pressure", "exhaust_pressure", "load_force")
+        """Names of the inputs: three pressures [Pa, absolute] and the load force [N], towards higher positions."""
+        return INPUTS
 
     @cached_property
     def levels(self) -> FloatArray:
-        """Values of the inputs, shape (3,)."""
-        return read_only(np.array([self.supply_pressure, self.exhaust_pressure, self.load.force]))
+        """Values of the inputs, shape (4,)."""
+        given = (self.supply_pressure, self.exhaust_pressure, self.load.force, self.ambient_pressure)
+        return read_only(np.array(given, dtype=np.float64))
 
     @cached_property
     def connections(self) -> tuple[Connection, ...]:
@@ -330,7 +350,6 @@ class Machine:
             "chamber_1": (c.dead_volume_1, c.piston_area_1, c.polytropic_exponent_1, c.push_area_1),
             "chamber_2": (c.dead_volume_2, -c.piston_area_2, c.polytropic_exponent_2, c.push_area_2),
         }
-        open_side = sum(row[3] for name, row in rows.items() if name not in c.chambers)
         each = [rows[name] for name in c.chambers]
         each += [(inner.volume, 0.0, inner.polytropic_exponent, 0.0) for inner in self.inner_volumes]
         known = {"supply": SUPPLY, "exhaust": EXHAUST, **{name: k for k, name in enumerate(volumes)}}
@@ -353,7 +372,8 @@ class Machine:
                 dry_friction=float(load.dry_friction),
                 stiction=float(load.stiction),
                 force=float(load.force),
-                open_push_area=float(open_side),
+                ambient_push_area=float(c.ambient_push_area),
+                ambient_pressure=float(self.ambient_pressure),
                 lower_stop=float(c.lower_stop),
                 upper_stop=float(c.upper_stop),
             ),

@@ -19,15 +19,15 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, IntArray
 from ltvpneu._compiled import compiled
 from ltvpneu.models.dynamics import STUCK, chamber_volume
-from ltvpneu.models.events import after_event, margin_at, mode_of
+from ltvpneu.models.events import after_event, at_stop, is_pressed, margin_at, mode_of
 from ltvpneu.models.integrator import OK, Log, advance, new_workspace
 from ltvpneu.models.machine_arrays import temperature_place
 from ltvpneu.models.runge_kutta import Run, Workspace, copy
 from ltvpneu.models.step_models import (
-    DECAY_AT_REST,
     Tangent,
     Visited,
     augmented,
+    come_to_rest,
     fit_visited,
     mean_visited,
     tangent_at,
@@ -75,7 +75,7 @@ class Steps(NamedTuple):
     points: FloatArray
     """Operating points, (capacity, n)."""
     inputs: FloatArray
-    """Slopes over the inputs, (capacity, n, 3)."""
+    """Slopes over the inputs, (capacity, n, 4)."""
     held: FloatArray
     """Half-widths of chords, (capacity, n)."""
     table: FloatArray
@@ -137,6 +137,20 @@ def _on_event(
 
 
 @compiled
+def _is_pressed(start: FloatArray, point: FloatArray, plan: Plan) -> bool:
+    """Whether a step of rest lies at a stop that the piston is pressed on, at its start or its operating point."""
+    if at_stop(start[0] * plan.scales[0], plan.run.machine) == 0:
+        return False
+    z = np.empty(plan.scales.size)
+    _physical(start, plan.scales, z)
+    if is_pressed(z, plan.run.machine):
+        return True
+    for k in range(2, z.size):
+        z[k] = point[k]
+    return is_pressed(z, plan.run.machine)
+
+
+@compiled
 def _follow(
     start: FloatArray, where: tuple[int, int, int, int], span: tuple[float, float], visited: Visited,
     plan: Plan, steps: Steps,
@@ -150,13 +164,13 @@ def _follow(
     duration, longest = span
     n = plan.scales.size
     matrix, point = steps.matrices[row], steps.points[row]
-    found = Tangent(np.empty((n, n)), steps.inputs[row], np.empty(n), steps.held[row])
+    found = Tangent(np.empty((n, n)), steps.inputs[row], np.empty(n), steps.held[row], np.empty(n))
     result, mean = np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
     end, means = np.empty(n + 1), np.empty(n + 1)
     if not tangent_at(point, plan.areas[cell], mode, plan.run.machine, plan.distance, found):
         return False, means, end, duration
     if mode == STUCK:
-        found.A[1, 1] = -DECAY_AT_REST / duration
+        come_to_rest(duration, found.sweeps, _is_pressed(start, point, plan), found.A)
     augmented(found.A, point, found.rate, plan.scales, matrix)
     if plan.fitted:
         fit_visited(visited, point, plan.run.machine, mode, plan.scales, matrix)
@@ -167,7 +181,8 @@ def _follow(
         exponential(matrix, duration, result, mean)
     apply(mean, start, means)
     if mode == STUCK:
-        means[1] = 0.0
+        # To the last bit: it does not move.
+        means[0], means[1], end[0] = start[0], 0.0, start[0]
     return True, means, end, duration
 
 

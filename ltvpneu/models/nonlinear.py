@@ -6,24 +6,25 @@ reported.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import FloatArray, IntArray, finite_array, positive, read_only, whole
+from ltvpneu._arrays import FloatArray, finite_array, positive, read_only, whole
+from ltvpneu._values import Value
 from ltvpneu.errors import NotSettledError
-from ltvpneu.models.dynamics import STUCK, chamber_volume, external_force, gas_in_volume
+from ltvpneu.models.dynamics import STUCK, chamber_volume, gas_in_volume
 from ltvpneu.models.integrator import OK, Outcome, Record, integrate_period
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.polynomial import PolynomialTrajectory
+from ltvpneu.models.rest import AT_EDGE, is_at_edge_of_band, rests_in_a_band, what_holds
 from ltvpneu.models.runge_kutta import Run, Schedule, Settings
 from ltvpneu.models.settle import settle
 from ltvpneu.models.stopped import raise_stopped
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.physics.friction import holding_force
 from ltvpneu.physics.medium import in_range
 from ltvpneu.physics.valve import check_duty
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class DormandPrince:
+class DormandPrince(Value):
     """The adaptive method: step control, stick and slip located as events.
 
     Parameters
@@ -51,7 +52,7 @@ class DormandPrince:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class RungeKutta4:
+class RungeKutta4(Value):
     """The paper's method: fourth order with a fixed step, stick and slip as they are at the end of a step.
 
     Parameters
@@ -71,6 +72,9 @@ Method = DormandPrince | RungeKutta4
 # Pressures need not be right to less than 1e-7 of the supply; where they meet the slope of the flow is infinite,
 # and steps that resolve smaller differences multiply without use.
 LEAST_PRESSURE_TOLERANCE = 1e-7
+
+REPEATS = 1e3
+"""How well an orbit of several periods repeats once more at least, over the tolerance [-]."""
 
 MAX_STEPS = 5_000_000
 """Steps that a period may take before the integration is given up."""
@@ -105,8 +109,9 @@ def nonlinear_orbit(
     Returns
     -------
     Orbit
-        Over `n_periods` valve periods, the least number after which it repeats. `is_unique` is false where the piston
-        rests within a stiction band; `residual` is the scaled closure of the period map.
+        Over `n_periods` valve periods, the least number after which it repeats. `is_isolated` is false where the piston
+        rests within a stiction band, or creeps to its edge by less than the tolerance; `rest` says what holds it.
+        `residual` is the scaled closure of the period map. Other starts may lead to other orbits: see `attractors`.
 
     Raises
     ------
@@ -128,39 +133,57 @@ def nonlinear_orbit(
     settings = _settings(machine, period, method)
     start = _initial_state(machine, initial_state)
     run, scales = Run(schedule_of(machine, period), machine.arrays, settings), machine.state_scales
-    max_periods = whole("max_periods", max_periods)
-    found = settle(start, run, scales, positive("tolerance", tolerance), max_periods)
-    if found.last.status != OK:
-        elapsed = (found.n_simulated - 1) * period + found.last.time
-        raise_stopped(machine, found.last.status, elapsed, found.last.state)
-    if found.n_periods == 0:
-        raise NotSettledError(
-            f"no periodic orbit after {found.n_simulated} valve periods: the scaled state still changes by "
-            f"{found.residual:.1e} (tolerance {tolerance:.1e}). {_why_not_settled(machine, found.last)}",
-            residual=found.residual,
-            n_simulated=found.n_simulated,
-            last_state=found.last.state,
-        )
-    if found.n_periods == 1:
-        return _orbit(machine, period, [found.last.record], (found.n_simulated, found.residual))
+    max_periods, n_simulated = whole("max_periods", max_periods), 0
+    while True:
+        found = settle(start, run, scales, positive("tolerance", tolerance), max_periods - n_simulated)
+        n_simulated += found.n_simulated
+        if found.last.status != OK:
+            elapsed = (n_simulated - 1) * period + found.last.time
+            raise_stopped(machine, found.last.status, elapsed, found.last.state)
+        if found.n_periods == 1:
+            orbit = _orbit(machine, period, [found.last.record], (n_simulated, found.residual))
+            positions = np.array([orbit.minimum(0), orbit.maximum(0)])
+            if orbit.is_isolated and is_at_edge_of_band(machine, run, positions, found.last.state, float(tolerance)):
+                return replace(orbit, is_isolated=False, rest=AT_EDGE)
+            return orbit
+        residual, start = found.residual, found.last.state
+        if found.n_periods > 1:
+            records, start = _go_round(start, run, found.n_periods)
+            residual = float(np.max(np.abs(start - found.last.state) / scales))
+            # What is chaotic comes near an earlier state by chance, and does not once more.
+            if residual <= REPEATS * tolerance:
+                return _orbit(machine, period, records, (n_simulated, residual))
+            n_simulated += found.n_periods
+        if n_simulated >= max_periods:
+            raise NotSettledError(
+                f"no periodic orbit after {n_simulated} valve periods: the scaled state still changes by "
+                f"{residual:.1e} (tolerance {tolerance:.1e}). {_why_not_settled(machine, found.last)}",
+                residual=residual,
+                n_simulated=n_simulated,
+                last_state=start,
+            )
+
+
+def _go_round(state: FloatArray, run: Run, n_periods: int) -> tuple[list[Record], FloatArray]:
+    """Return what the next valve periods are, and the state after them."""
     records: list[Record] = []
-    state = found.last.state
-    for _ in range(found.n_periods):
+    for _ in range(n_periods):
         outcome = integrate_period(state, run, True)
         state = outcome.state
         records.append(outcome.record)
-    closure = float(np.max(np.abs(state - found.last.state) / scales))
-    return _orbit(machine, period, records, (found.n_simulated, closure))
+    return records, state
 
 
 def _why_not_settled(machine: Machine, last: Outcome) -> str:
     """Return the likely cause and what to do."""
     free = np.isinf([machine.cylinder.lower_stop, machine.cylinder.upper_stop]).any()
-    if machine.load.spring_stiffness == 0 and free:
+    if machine.load.spring_stiffness == 0:
         moved = float(last.state[0] - last.record.coefficients[0, 0, 0])
+        without = " and without both end stops" if free else ""
+        remedy = "Give it a spring or end stops." if free else "Raise max_periods until it reaches an end stop."
         return (
-            f"There is a piston without a spring (load.spring_stiffness is 0) and without both end stops: in the last "
-            f"period its position moved by {moved:+.3g} m. Give it a spring or end stops."
+            f"There is a piston without a spring (load.spring_stiffness is 0){without}: in the last period its "
+            f"position moved by {moved:+.3g} m. {remedy}"
         )
     return "It may decay slowly (raise max_periods) or be chaotic (look at lp.simulate)."
 
@@ -265,25 +288,30 @@ def _initial_state(machine: Machine, initial_state: ArrayLike | None) -> FloatAr
     if initial_state is None:
         return machine.rest_state.copy()
     state = finite_array("initial_state", initial_state, (len(machine.states),)).copy()
+    check_state(machine, state, "initial_state")
+    return state
+
+
+def check_state(machine: Machine, state: FloatArray, name: str) -> None:
+    """Raise unless the machine's equations hold at a state, (n,); `name` is what the caller calls it."""
     cylinder = machine.cylinder
     if not cylinder.lower_stop <= state[0] <= cylinder.upper_stop:
         raise ValueError(
-            f"initial_state: found position {state[0]:g} m, expected it between the end stops "
+            f"{name}: found position {state[0]:g} m, expected it between the end stops "
             f"({cylinder.lower_stop:g} to {cylinder.upper_stop:g} m)"
         )
     count, arrays = machine.n_volumes, machine.arrays
-    for i, name in enumerate(machine.states[2:]):
-        positive(f"initial_state: {name}", state[2 + i], "Pa" if i < count else "K")
-    for k, name in enumerate(machine.volumes):
+    for i, label in enumerate(machine.states[2:]):
+        positive(f"{name}: {label}", state[2 + i], "Pa" if i < count else "K")
+    for k, chamber in enumerate(machine.volumes):
         volume = chamber_volume(k, float(state[0]), arrays)
-        positive(f"initial_state: volume of {name} at position {state[0]:g} m", volume, "m^3")
+        positive(f"{name}: volume of {chamber} at position {state[0]:g} m", volume, "m^3")
         here = gas_in_volume(k, state, arrays)
         if not in_range(here.pressure, here.temperature, arrays.medium):
             raise ValueError(
-                f"initial_state: found {name} at {here.pressure:g} Pa and {here.temperature:g} K, expected it where "
+                f"{name}: found {chamber} at {here.pressure:g} Pa and {here.temperature:g} K, expected it where "
                 f"the laws of the medium hold: {machine.gas.limits}"
             )
-    return state
 
 
 def joined(records: Sequence[Record], period: float) -> Record:
@@ -317,6 +345,7 @@ def _orbit(machine: Machine, period: float, records: list[Record], reached: tupl
     step_times[:-1], step_times[-1] = record.starts[begins], len(records) * period
     trajectory = trajectory_of(record)
     n_simulated, residual = reached
+    states = trajectory.coefficients[:, 0].copy()
     return Orbit(
         system_period=period,
         n_periods=len(records),
@@ -326,10 +355,11 @@ def _orbit(machine: Machine, period: float, records: list[Record], reached: tupl
         trajectory=trajectory,
         states=machine.states,
         outputs=machine.states,
-        is_unique=not rests_in_a_band(machine, trajectory.coefficients[:, 0], modes),
+        is_isolated=not rests_in_a_band(machine, states, modes),
         residual=float(residual),
         n_simulated=n_simulated,
         name=machine.name,
+        rest=what_holds(machine, states, modes),
     )
 
 
@@ -345,18 +375,3 @@ def step_label(machine: Machine, mode: int) -> str:
 def mode_labelled(label: str) -> int:
     """Return the mode of motion that `step_label` names; without dry friction either direction serves."""
     return {"stuck": STUCK, "moves down": -1}.get(label, 1)
-
-
-def rests_in_a_band(machine: Machine, states: FloatArray, modes: IntArray) -> bool:
-    """Whether the piston rests throughout, held by stiction alone, so that it could rest beside just as well.
-
-    `states`, (n_steps, n), are those at the starts of the steps, `modes`, (n_steps,), their modes.
-    """
-    if modes[0] != STUCK or not machine.has_dry_friction or not (modes == STUCK).all():
-        return False
-    if machine.cylinder.lower_stop < states[0, 0] < machine.cylinder.upper_stop:
-        return True
-    forces = [external_force(state, machine.arrays) for state in states]
-    hold = holding_force(machine.load.dry_friction, machine.load.stiction)
-    # Pressed against an end stop by more than stiction holds, it has nowhere else to rest.
-    return max(abs(force) for force in forces) <= hold * (1 + 1e-9)

@@ -51,7 +51,7 @@ class NonlinearCycles:
         if self._start is not None:
             try:
                 orbit = nonlinear_orbit(machine, frequency, self._start, method=method)
-                if orbit.is_unique:
+                if orbit.is_isolated:
                     self._start = orbit.initial_state
                     return orbit
             except LtvpneuError:
@@ -76,7 +76,7 @@ class NonlinearCycles:
         plain, frequency = with_values(self.machine, values), float(values.get("frequency", self.frequency))
         machine = self._changed(plain)
         orbit = self.orbit(values)
-        if not orbit.is_unique:
+        if not orbit.is_isolated:
             free = np.zeros((len(machine.states), 1))
             free[0] = 1.0
             raise NonUniqueOrbitError(

@@ -62,7 +62,7 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
         )
     arrays = machine.arrays
     states = settled_states(areas, arrays, np.array(machine.rest_state))
-    force = load.force + arrays.load.open_push_area * machine.exhaust_pressure
+    force = load.force + arrays.load.ambient_push_area * machine.ambient_pressure
     balanced = (states[:, 2 : 2 + machine.n_volumes] @ arrays.chambers[:, 3] + force) / load.spring_stiffness
     # What the spring does not bear, an end stop does.
     states[:, 0] = np.clip(balanced, machine.cylinder.lower_stop, machine.cylinder.upper_stop)

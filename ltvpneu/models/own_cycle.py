@@ -15,17 +15,19 @@ from typing import Literal, final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, IntArray
+from ltvpneu._values import Value
 from ltvpneu.errors import NotConvergedError
 from ltvpneu.models.dynamics import STUCK
 from ltvpneu.models.integrator import OK
 from ltvpneu.models.linearize import HeldBack, Linearization, LtvModel, assemble
 from ltvpneu.models.machine import Machine
-from ltvpneu.models.machine_arrays import OpeningTable
+from ltvpneu.models.machine_arrays import N_INPUTS, OpeningTable
 from ltvpneu.models.march import NOT_CONVERGED, Marched, Plan, Steps, march_period
 from ltvpneu.models.mesh import cut_schedule, cuts_by_error, even_cuts
-from ltvpneu.models.nonlinear import integration_settings, rests_in_a_band, step_label
+from ltvpneu.models.nonlinear import integration_settings, step_label
 from ltvpneu.models.quasi_static import nearest_source
 from ltvpneu.models.repeat import Repeated, repeat_march
+from ltvpneu.models.rest import AT_EDGE, rests_in_a_band, what_holds
 from ltvpneu.models.runge_kutta import Run
 from ltvpneu.models.staircase import default_steps, staircase
 from ltvpneu.models.stopped import raise_stopped
@@ -51,7 +53,7 @@ GROWTH = 4
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Question:
+class Question(Value):
     """What is asked for, but for the steps."""
 
     machine: Machine
@@ -79,7 +81,7 @@ class Question:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Found:
+class Found(Value):
     """A cycle of linear steps, over one or more valve periods."""
 
     question: Question
@@ -201,7 +203,7 @@ def new_steps(question: Question, cells: FloatArray) -> Steps:
         matrices=np.empty((capacity, n + 1, n + 1)),
         starts=np.empty((capacity, n + 1)),
         points=np.empty((capacity, n)),
-        inputs=np.empty((capacity, n, 3)),
+        inputs=np.empty((capacity, n, N_INPUTS)),
         held=np.zeros((capacity, n)),
         table=np.empty((capacity, 5)),
     )
@@ -263,7 +265,8 @@ def as_model(found: Found) -> LtvModel:
     question, machine = found.question, found.question.machine
     trajectory, steps = trajectory_of_steps(machine, found.periods), together(found.periods)
     system, states = trajectory.system, trajectory.step_states
-    modes = steps.table[:, 1].astype(int)
+    modes = steps.table[:, 1].astype(np.int64)
+    creeps = _creeps(machine, states, modes)
     orbit = Orbit(
         system_period=1 / question.frequency,
         n_periods=found.repeated.n_periods,
@@ -273,10 +276,11 @@ def as_model(found: Found) -> LtvModel:
         trajectory=trajectory,
         states=machine.states,
         outputs=machine.states,
-        is_unique=not (rests_in_a_band(machine, states, modes) or _creeps(machine, states, modes)),
+        is_isolated=not (rests_in_a_band(machine, states, modes) or creeps),
         residual=found.repeated.residual,
         n_simulated=found.repeated.n_marched,
         name=system.name,
+        rest=what_holds(machine, states, modes) or (AT_EDGE if creeps else ""),
     )
     return LtvModel(
         system=system,

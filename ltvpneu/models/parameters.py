@@ -19,7 +19,9 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, positive, read_only
+from ltvpneu._values import Value
 from ltvpneu.errors import NonUniqueOrbitError, NotConvergedError
+from ltvpneu.models.events import at_stop
 from ltvpneu.models.integrator import OK, Record, integrate_period
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
@@ -57,7 +59,7 @@ TurnFigures = Callable[[FloatArray, Machine, float], FloatArray]
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class ParameterSensitivity:
+class ParameterSensitivity(Value):
     """Derivatives of a cycle's figures, one column a parameter, in SI units."""
 
     parameters: tuple[str, ...]
@@ -237,7 +239,7 @@ def _expect_names(parameters: Sequence[str]) -> None:
 
 
 def _expect_unique(orbit: Orbit) -> None:
-    if not orbit.is_unique:
+    if not orbit.is_isolated:
         direction = np.zeros((len(orbit.states), 1))
         direction[0] = 1.0
         raise NonUniqueOrbitError(
@@ -265,9 +267,16 @@ def slopes_along_turn(
     machine, frequency, start = at
     scales, n = machine.state_scales, len(machine.states)
     by_state: list[FloatArray] = []
+    away = -at_stop(float(start[0]), machine.arrays)
     for j in range(n):
         move = np.zeros(n)
         move[j] = STATE_STEP * scales[j]
+        if away and j < 2:
+            # Beyond a stop there is no motion: the derivative is that into the stroke, of second order too.
+            move *= away
+            here, near, far = (figures(start + steps * move, machine, frequency) for steps in (0, 1, 2))
+            by_state.append((4 * near - far - 3 * here) / (2 * move[j]))
+            continue
         up, down = figures(start + move, machine, frequency), figures(start - move, machine, frequency)
         by_state.append((up - down) / (2 * move[j]))
     by_parameter: list[FloatArray] = []

@@ -10,11 +10,12 @@ from scipy.interpolate import PPoly
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
+from ltvpneu._values import Value
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PolynomialTrajectory:
+class PolynomialTrajectory(Value):
     """One period of a solution as the integrator's interpolant: a polynomial on each of its intervals."""
 
     starts: FloatArray

@@ -23,14 +23,15 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
 from ltvpneu.models.dynamics import STUCK, chamber_volume, state_rate
-from ltvpneu.models.machine_arrays import MachineArrays, temperature_place
+from ltvpneu.models.machine_arrays import N_INPUTS, MachineArrays, temperature_place
 from ltvpneu.models.quasi_static import nearest_source
 from ltvpneu.models.tangent import state_tangent
 from ltvpneu.periodic.small import solve
 from ltvpneu.physics.properties import LIQUID
 
 DECAY_AT_REST = 40.0
-"""Exponent by which the velocity of a resting piston decays over its step: what is left of it is below rounding."""
+"""Exponent by which what does not last decays over a step of rest: the velocity of a resting piston, and the distance
+from a stop of one that is pressed on it. What is left is below rounding."""
 RIDGE = 1e-6
 """Mean square of a scaled state's excursions below which the fit keeps the tangent's slope over it [-]."""
 LEAST_SLOPE = 0.4
@@ -59,11 +60,13 @@ class Tangent(NamedTuple):
     A: FloatArray
     """(n, n)"""
     B: FloatArray
-    """Over the inputs, (n, 3)."""
+    """Over the inputs, (n, 4)."""
     rate: FloatArray
     """(n,)"""
     held: FloatArray
     """Share of the chord in each pressure's slope, from 0 to 1, (n,)."""
+    sweeps: FloatArray
+    """At rest, how the rates of pressures and temperatures would follow a velocity, (n,)."""
 
 
 @compiled
@@ -97,10 +100,12 @@ def tangent_at(
                 held[k] = 1.0 - abs(apart) / (distance * source)
                 _chord(state, (k, source, held[k], column), areas, mode, machine, found)
         if mode == STUCK:
+            for k in range(2, n):
+                found.sweeps[k] = A[k, 1]
             A[0, 1] = 0.0
             for j in range(n):
                 A[1, j] = 0.0
-            for j in range(3):
+            for j in range(N_INPUTS):
                 found.B[1, j] = 0.0
             for k in range(2, n):
                 A[k, 1] = 0.0
@@ -124,7 +129,7 @@ def _chord(
     apart = state[k] - source
     reached = apart if abs(apart) > least else math.copysign(least, apart)
     point, at_source, away = state.copy(), np.empty(n), np.empty(n)
-    others, inputs = np.empty((n, n)), np.empty((n, 3))
+    others, inputs = np.empty((n, n)), np.empty((n, N_INPUTS))
     point[k] = source
     state_rate(point, areas, mode, machine, at_source)
     point[k] = source + reached
@@ -134,12 +139,26 @@ def _chord(
     if abs(apart) < least:
         found.rate[k] = at_source[k] + chord * apart
     found.A[k, k] = share * chord + (1.0 - share) * others[k, k]
-    for j in range(3):
+    for j in range(N_INPUTS):
         found.B[k, j] = inputs[k, j]
     if column >= 0:
         found.A[k, column] = others[k, column] + others[k, k] - found.A[k, k]
     else:
         found.B[k, -1 - column] += others[k, k] - found.A[k, k]
+
+
+@compiled
+def come_to_rest(duration: float, sweeps: FloatArray, pressed: bool, A: FloatArray) -> None:
+    """Let what does not last in a step of rest decay over it: x' = 0 is its motion, and not that of a disturbance.
+
+    A velocity is braked at once. A piston pressed on a stop and set beside it goes back, and its pressures follow:
+    `sweeps` is how their rates follow the velocity in motion, (n,).
+    """
+    A[1, 1] = -DECAY_AT_REST / duration
+    if pressed:
+        A[0, 0] = -DECAY_AT_REST / duration
+        for k in range(2, A.shape[0]):
+            A[k, 0] += sweeps[k] * A[0, 0]
 
 
 @compiled

@@ -14,9 +14,11 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ltvpneu._arrays import positive
+from ltvpneu._values import Value
 from ltvpneu.models.dynamics import external_force
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.nonlinear import nonlinear_orbit
+from ltvpneu.models.rest import positions_of_rest
 from ltvpneu.physics.friction import holding_force
 
 SAMPLES = 400
@@ -24,7 +26,7 @@ SAMPLES = 400
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class StictionBand:
+class StictionBand(Value):
     """Positions at which the piston stays at rest; none where `lowest` is above `highest`.
 
     Examples
@@ -86,7 +88,7 @@ def stiction_band(machine: Machine, frequency: float) -> StictionBand:
         found = [external_force(state, machine.arrays) for state in orbit.at(times).T.copy()]
         return min(found), max(found)
 
-    low, high = _bracket(machine, hold)
+    low, high = _bracket(machine)
 
     def pushed_up(position: float) -> float:
         return forces(position)[1] - hold
@@ -108,21 +110,9 @@ def _edge(force: Callable[[float], float], low: float, high: float) -> float:
     return cast(float, brentq(force, low, high, xtol=1e-9 * (high - low)))
 
 
-def _bracket(machine: Machine, hold: float) -> tuple[float, float]:
+def _bracket(machine: Machine) -> tuple[float, float]:
     """Return positions beyond which no pressure between the sources' holds the piston, within stops and volumes."""
-    load, arrays = machine.load, machine.arrays
-    lower, upper = machine.cylinder.lower_stop, machine.cylinder.upper_stop
-    for volume, slope in arrays.chambers[: len(machine.cylinder.chambers), :2]:
-        edge = -volume / slope
-        if slope > 0:
-            lower = max(lower, 0.999 * edge)
-        else:
-            upper = min(upper, 0.999 * edge)
-    if load.spring_stiffness > 0:
-        rest = load.force + arrays.load.open_push_area * machine.exhaust_pressure
-        ends = np.outer(arrays.chambers[:, 3], [machine.exhaust_pressure, machine.supply_pressure])
-        lower = max(lower, (rest + float(ends.min(axis=1).sum()) - hold) / load.spring_stiffness)
-        upper = min(upper, (rest + float(ends.max(axis=1).sum()) + hold) / load.spring_stiffness)
+    lower, upper = positions_of_rest(machine)
     if not (math.isfinite(lower) and math.isfinite(upper)):
         raise ValueError(
             "load.spring_stiffness: found none, and no two end stops; expected a spring, or cylinder.lower_stop and "

@@ -5,7 +5,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
 from ltvpneu.models.dynamics import flow_into, gas_in_volume, temperature_slope
-from ltvpneu.models.machine_arrays import EXHAUST, SUPPLY, MachineArrays, temperature_place
+from ltvpneu.models.machine_arrays import EXHAUST, N_INPUTS, SUPPLY, MachineArrays, temperature_place
 from ltvpneu.physics.gas import GasState
 from ltvpneu.physics.medium import path_flow_slopes
 
@@ -35,7 +35,7 @@ def supply_flow_tangents(
     Closer to the supply's pressure than `distance`, relative to it, the slope is that of the chord to it.
     """
     n_steps, n = points.shape
-    by_state, by_input, offset = np.zeros((n_steps, n)), np.zeros((n_steps, 3)), np.zeros(n_steps)
+    by_state, by_input, offset = np.zeros((n_steps, n)), np.zeros((n_steps, N_INPUTS)), np.zeros(n_steps)
     source = machine.supply
     for i in range(n_steps):
         for path in range(machine.paths.shape[0]):

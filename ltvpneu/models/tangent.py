@@ -20,7 +20,16 @@ from ltvpneu.models.dynamics import (
     gas_in_volume,
     temperature_slope,
 )
-from ltvpneu.models.machine_arrays import CONDUCTANCE, SUPPLY, WALL_TEMPERATURE, MachineArrays, temperature_place
+from ltvpneu.models.machine_arrays import (
+    AMBIENT,
+    CONDUCTANCE,
+    LOAD_FORCE,
+    N_INPUTS,
+    SUPPLY,
+    WALL_TEMPERATURE,
+    MachineArrays,
+    temperature_place,
+)
 from ltvpneu.physics.flow import mass_flow, mass_flow_slopes
 from ltvpneu.physics.medium import path_flow_slopes, properties
 from ltvpneu.physics.properties import LIQUID
@@ -40,8 +49,8 @@ def state_tangent(
         Whether to take all derivatives. If not, the paper's choice (8b): in the rows of pressures and temperatures,
         none over the position, and the others as at rest, a liquid's bulk modulus held.
     A : ndarray, shape (n, n)
-    B : ndarray, shape (n, 3)
-        Over supply pressure, exhaust pressure and external force.
+    B : ndarray, shape (n, 4)
+        Over the machine's `INPUTS`.
     """
     load, n_volumes = machine.load, machine.chambers.shape[0]
     A.fill(0.0)
@@ -49,8 +58,8 @@ def state_tangent(
     A[0, 1] = 1.0
     A[1, 0] = -load.spring_stiffness / load.mass
     A[1, 1] = -load.viscous_damping / load.mass
-    B[1, 1] = load.open_push_area / load.mass
-    B[1, 2] = 1.0 / load.mass
+    B[1, AMBIENT] = load.ambient_push_area / load.mass
+    B[1, LOAD_FORCE] = 1.0 / load.mass
     for k in range(n_volumes):
         A[1, 2 + k] = machine.chambers[k, 3] / load.mass
     if machine.plain:
@@ -211,7 +220,7 @@ def _pressure_row(k: int, state: FloatArray, velocity: float, full: bool, machin
     factor = 1.0 / (volume * along.by_pressure)
     for j in range(state.size):
         A[2 + k, j] *= factor
-    for j in range(3):
+    for j in range(N_INPUTS):
         B[2 + k, j] *= factor
     rate = (mass - along.density * slope * velocity) * factor
     A[2 + k, 2 + k] -= slope * velocity / volume
@@ -241,7 +250,7 @@ def _energy_rows(k: int, state: FloatArray, velocity: float, full: bool, machine
     rates = balanced(found, volume, mass - rho * swept, energy - here.pressure * swept - u * mass)
     for j in range(state.size):
         A[row, j], A[place, j] = balanced(found, volume, A[row, j], A[place, j] - u * A[row, j])
-    for j in range(3):
+    for j in range(N_INPUTS):
         B[row, j], B[place, j] = balanced(found, volume, B[row, j], B[place, j] - u * B[row, j])
     dp, dT = rates
     by_p = balanced(
@@ -276,9 +285,9 @@ def _energy_rows(k: int, state: FloatArray, velocity: float, full: bool, machine
 def tangents(
     states: FloatArray, areas: FloatArray, machine: MachineArrays, full: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the tangents at one state per step: (n_steps, n, n) over the state, (n_steps, n, 3) over the inputs."""
+    """Return the tangents at one state per step: (n_steps, n, n) over the state, (n_steps, n, 4) over the inputs."""
     n_steps, n = states.shape
-    A, B = np.empty((n_steps, n, n)), np.empty((n_steps, n, 3))
+    A, B = np.empty((n_steps, n, n)), np.empty((n_steps, n, N_INPUTS))
     for step in range(n_steps):
         state_tangent(states[step], areas[step], machine, full, A[step], B[step])
     return A, B

@@ -17,21 +17,20 @@ with the rates f before and after, the event function h and the reset R (at an e
 """
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
-from typing import final
 
 import numpy as np
 
-from ltvpneu._arrays import ComplexArray, FloatArray, read_only
+from ltvpneu._arrays import FloatArray, read_only
 from ltvpneu.models.dynamics import STUCK, state_rate
+from ltvpneu.models.events import is_pressed
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.machine_arrays import N_INPUTS
 from ltvpneu.models.mesh import cut_schedule
 from ltvpneu.models.nonlinear import mode_labelled
 from ltvpneu.models.polynomial import PolynomialTrajectory
 from ltvpneu.models.step_models import Tangent, tangent_at
+from ltvpneu.periodic.floquet import Floquet, Maps, orbit_multipliers
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.product import ProductMultipliers, product_multipliers
 from ltvpneu.periodic.propagate import exponentials
 
 PARTS = 4
@@ -42,56 +41,11 @@ NEUTRAL = 1e-6
 """Distance of a modulus from 1 within which a disturbance neither grows nor decays [-]."""
 
 
-@final
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class OrbitFloquet:
-    """Multipliers of an orbit of the nonlinear model, or of one that a model of steps follows, largest first."""
-
-    orbit: Orbit
-    product: ProductMultipliers
-    monodromy: FloatArray
-    """Where a disturbance of the initial state goes in one orbit, (n, n), in the states' units."""
-    margin: float = NEUTRAL
-    """Distance of a modulus from 1 within which it cannot be told from 1 [-]."""
-
-    def __repr__(self) -> str:
-        return f"<OrbitFloquet of {self.orbit.name}: multipliers {self.multipliers}>"
-
-    @property
-    def multipliers(self) -> ComplexArray:
-        """Floquet multipliers [-], shape (n,)."""
-        return self.product.multipliers
-
-    @property
-    def log_moduli(self) -> FloatArray:
-        """Natural logarithms of their moduli, -inf for zero, shape (n,)."""
-        return self.product.log_moduli
-
-    @property
-    def exponents(self) -> ComplexArray:
-        """Principal exponents [1/s], shape (n,)."""
-        return (self.product.log_moduli + 1j * self.product.angles) / self.orbit.period
-
-    @property
-    def spectral_radius(self) -> float:
-        """Largest modulus [-]; 1 in a stiction band."""
-        return self.product.spectral_radius
-
-    @cached_property
-    def is_stable(self) -> bool:
-        """Whether every small disturbance decays; false in a stiction band, whose every position stays."""
-        return self.spectral_radius < 1 - self.margin
-
-    @property
-    def verdict(self) -> str:
-        """Stable, not stable, or marginal, as in a stiction band."""
-        if self.is_stable:
-            return "stable"
-        return "marginal" if self.spectral_radius <= 1 + self.margin else "not stable"
-
-
-def orbit_floquet(machine: Machine, orbit: Orbit) -> OrbitFloquet:
+def orbit_floquet(machine: Machine, orbit: Orbit) -> Floquet:
     """Return the Floquet multipliers of an orbit found by `nonlinear_orbit`, with saltation where the piston sticks.
+
+    Where stiction holds the piston its position stays where it is put: a multiplier of one. Where it is pressed on an
+    end stop, a disturbance into the stroke returns, and its multiplier is zero.
 
     Parameters
     ----------
@@ -117,16 +71,7 @@ def orbit_floquet(machine: Machine, orbit: Orbit) -> OrbitFloquet:
             f"orbit: found one of {orbit.name}, a linear model; expected one of nonlinear_orbit. Of a linear model, "
             "take lp.cycle_floquet(model)"
         )
-    factors = _Factors(machine, orbit, trajectory).all()
-    scales = machine.state_scales
-    whole = np.eye(scales.size)
-    for factor in factors:
-        whole = factor @ whole
-    return OrbitFloquet(
-        orbit=orbit,
-        product=product_multipliers(factors),
-        monodromy=read_only(whole * scales[:, None] / scales),
-    )
+    return orbit_multipliers(orbit, _Factors(machine, orbit, trajectory).maps(), NEUTRAL)
 
 
 class _Factors:
@@ -137,27 +82,55 @@ class _Factors:
         self.n, self.scales = len(machine.states), machine.state_scales
         schedule, _, _ = cut_schedule(machine.openings, machine.openings.fractions, orbit.system_period)
         self.times, self.areas = schedule.times, schedule.areas
-        self.modes = [mode_labelled(label) for label in orbit.step_labels]
+        # A creep to the edge of a stiction band is rest: set beside it, within the band, the piston stays.
+        labels = orbit.step_labels if orbit.is_isolated else ("stuck",) * len(orbit.step_labels)
+        self.modes = [mode_labelled(label) for label in labels]
 
-    def all(self) -> list[FloatArray]:
-        """Return the factors in the order of time."""
-        found: list[FloatArray] = []
-        if self.modes[0] == STUCK:
-            # A small velocity is braked at once, having moved the piston by its square only.
-            rested = np.eye(self.n)
-            rested[1, 1] = 0.0
-            found.append(rested)
+    def maps(self) -> Maps:
+        """Return the maps in the order of time."""
+        found, durations, begins = list[FloatArray](), list[float](), list[int]()
+
+        def at_once(maps: list[FloatArray]) -> None:
+            found.extend(maps)
+            durations.extend([0.0] * len(maps))
+
         starts, spans = self.trajectory.starts, self.trajectory.spans
         step = np.clip(
             np.searchsorted(self.orbit.step_times, starts + 1e-9 * spans, side="right") - 1, 0, len(self.modes) - 1
         )
+        pressed = False
         for interval in range(starts.size):
             mode = self.modes[step[interval]]
-            if interval > 0 and step[interval] != step[interval - 1]:
-                found += self._saltation(interval, self.modes[step[interval - 1]], mode)
+            if interval == 0 or step[interval] != step[interval - 1]:
+                begins.append(len(found))
+                if interval > 0:
+                    at_once(self._saltation(interval, self.modes[step[interval - 1]], mode))
+                elif mode == STUCK:
+                    # A small velocity is braked at once, having moved the piston by its square only.
+                    at_once([np.diag([1.0, 0.0, *np.ones(self.n - 2)])])
+            pressed = pressed and mode == STUCK
+            if mode == STUCK and not pressed and is_pressed(self._state(interval, 0.0), self.machine.arrays):
+                pressed = True
+                at_once([self._back_on_stop(interval)])
             found += list(self._smooth(interval, mode))
-        found += self._saltation(0, self.modes[-1], self.modes[0])
-        return found
+            durations += [float(spans[interval]) / PARTS] * PARTS
+        at_once(self._saltation(0, self.modes[-1], self.modes[0]))
+        return Maps(
+            factors=read_only(np.array(found)),
+            durations=read_only(np.array(durations)),
+            starts=np.array(begins, dtype=np.int64),
+            scales=self.scales,
+        )
+
+    def _back_on_stop(self, interval: int) -> FloatArray:
+        """Return what becomes of a disturbance where the piston is pressed on a stop.
+
+        Set beside it the piston goes back at once, and sweeps the chambers' volumes on the way.
+        """
+        tangent = self._tangent(self._state(interval, 0.0), self._areas(self.trajectory.starts[interval]), STUCK)
+        jump = np.diag([0.0, 0.0, *np.ones(self.n - 2)])
+        jump[2:, 0] = -tangent.sweeps[2:] * self.scales[0] / self.scales[2:]
+        return jump
 
     def _state(self, interval: int, time: float) -> FloatArray:
         return time ** np.arange(5) @ self.trajectory.coefficients[interval]
@@ -170,18 +143,21 @@ class _Factors:
         with np.errstate(invalid="ignore"):
             return np.where(begin == end, begin, begin + share * (end - begin))
 
-    def _tangent(self, state: FloatArray, areas: FloatArray, mode: int) -> FloatArray:
+    def _tangent(self, state: FloatArray, areas: FloatArray, mode: int) -> Tangent:
         n = self.n
-        found = Tangent(np.empty((n, n)), np.empty((n, 3)), np.empty(n), np.empty(n))
+        found = Tangent(np.empty((n, n)), np.empty((n, N_INPUTS)), np.empty(n), np.empty(n), np.empty(n))
         tangent_at(state, areas, mode, self.machine.arrays, NEAREST_SOURCE, found)
-        return found.A * self.scales / self.scales[:, None]
+        return found
+
+    def _scaled_tangent(self, state: FloatArray, areas: FloatArray, mode: int) -> FloatArray:
+        return self._tangent(state, areas, mode).A * self.scales / self.scales[:, None]
 
     def _smooth(self, interval: int, mode: int) -> FloatArray:
         start, h = self.trajectory.starts[interval], self.trajectory.spans[interval] / PARTS
         exponents = np.empty((PARTS, self.n, self.n))
         for part in range(PARTS):
             times = [(part + 0.5 + side * math.sqrt(3) / 6) * h for side in (-1, 1)]
-            one, two = (self._tangent(self._state(interval, t), self._areas(start + t), mode) for t in times)
+            one, two = (self._scaled_tangent(self._state(interval, t), self._areas(start + t), mode) for t in times)
             exponents[part] = 0.5 * h * (one + two) + math.sqrt(3) / 12 * h * h * (two @ one - one @ two)
         return exponentials(exponents)
 

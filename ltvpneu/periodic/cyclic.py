@@ -15,6 +15,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from ltvpneu._values import Value
 from ltvpneu.periodic.propagate import one_blas_thread
 
 Array = NDArray[Any]
@@ -26,7 +27,7 @@ MODERATE = 30.0
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Eliminated:
+class Eliminated(Value):
     """Unknowns taken out in one round: R z_middle = rhs - left z_before - right z_after."""
 
     R: Array
@@ -37,7 +38,7 @@ class Eliminated:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Reduced:
+class Reduced(Value):
     """The one equation left, first z_0 + last z_N = rhs, and the way back."""
 
     first: Array

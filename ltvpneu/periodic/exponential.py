@@ -17,6 +17,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu._values import Value
 from ltvpneu.periodic.propagate import exponentials
 from ltvpneu.periodic.small import root_time, sampled
 from ltvpneu.periodic.system import PeriodicSystem
@@ -32,7 +33,7 @@ class Extreme(NamedTuple):
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ExponentialTrajectory:
+class ExponentialTrajectory(Value):
     """One period of a solution of a periodic system."""
 
     system: PeriodicSystem

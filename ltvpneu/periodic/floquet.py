@@ -24,10 +24,12 @@ from typing import final
 
 import numpy as np
 
-from ltvpneu._arrays import ComplexArray, FloatArray, not_negative, read_only
+from ltvpneu._arrays import ComplexArray, FloatArray, IntArray, not_negative, read_only
+from ltvpneu._values import Value
 from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic.cyclic import Reduced, reduced
-from ltvpneu.periodic.product import from_logs, log_multipliers
+from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.product import from_logs, log_multipliers, product_multipliers
 from ltvpneu.periodic.propagate import complex_exponentials, exponentials
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
@@ -68,11 +70,35 @@ def monodromy(system: PeriodicSystem) -> FloatArray:
 
 
 @final
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Floquet:
-    """Multipliers of a periodic system, largest first, and what follows from them."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Maps(Value):
+    """Maps of a disturbance whose product, the first one first, is the map over the period, in scaled states."""
 
-    system: PeriodicSystem
+    factors: FloatArray
+    """(n_maps, n, n)"""
+    durations: FloatArray
+    """[s]; zero for what happens at once, as at a stop; (n_maps,)."""
+    starts: IntArray
+    """Number of the map that each step begins with, (n_steps,)."""
+    scales: FloatArray
+    """Sizes of the states, (n,)."""
+
+    @property
+    def product(self) -> FloatArray:
+        """The map over the period, scaled, (n, n)."""
+        whole = np.eye(self.scales.size)
+        for factor in self.factors:
+            whole = factor @ whole
+        return whole
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Floquet(Value):
+    """Multipliers of a periodic system, or of an orbit of a machine, largest first, and what follows from them."""
+
+    period: float
+    """Of the system, or of the orbit [s]."""
     multipliers: ComplexArray
     """Characteristic multipliers [-], by falling modulus, then falling imaginary part; 0 or inf where beyond double
     precision; shape (n,)."""
@@ -81,14 +107,19 @@ class Floquet:
     angles: FloatArray
     """Their angles in (-pi, pi], shape (n,)."""
     least_margin: float
+    maps: Maps
+    """What the multipliers are of."""
+    system: PeriodicSystem | None = None
+    """The periodic system, where they are of one."""
+    orbit: Orbit | None = None
+    """The orbit, where they are of one: of the nonlinear machine, or of a linear model that follows its cycle."""
 
     def __repr__(self) -> str:
-        return f"<Floquet: {self.verdict}, spectral radius {self.spectral_radius:.6g}, multipliers {self.multipliers}>"
-
-    @property
-    def period(self) -> float:
-        """Of the system [s]."""
-        return self.system.period
+        about = f", {self.orbit.rest}" if self.orbit is not None and self.orbit.rest else ""
+        return (
+            f"<Floquet: {self.verdict}, spectral radius {self.spectral_radius:.6g}, multipliers {self.multipliers}"
+            f"{about}>"
+        )
 
     @property
     def exponents(self) -> ComplexArray:
@@ -104,7 +135,7 @@ class Floquet:
     def margin(self) -> float:
         """Distance from the unit circle within which the verdict is "marginal" [-].
 
-        It covers the largest multipliers' own error.
+        Of a system it covers the largest multipliers' own error.
         """
         return max(self.least_margin, 10 * self._relative_error())
 
@@ -114,8 +145,8 @@ class Floquet:
         A simple eigenvalue moves by its condition number times the backward error of each factor; near a defective one,
         where that number has no bound, by the n-th root of the backward error.
         """
-        n, n_pieces = self.system.n_states, int(np.sum(self.system.fine_pieces))
-        if not np.isfinite(self.log_moduli[0]):
+        n_pieces, n = self.maps.factors.shape[:2]
+        if self.system is None or not np.isfinite(self.log_moduli[0]):
             return 0.0
         backward = np.finfo(float).eps * n * math.sqrt(n_pieces)
         near = np.flatnonzero(self.log_moduli >= self.log_moduli[0] - math.log(2))
@@ -140,6 +171,13 @@ class Floquet:
         return "marginal" if self.is_marginal else "unstable"
 
     @cached_property
+    def monodromy(self) -> FloatArray:
+        """Where a disturbance of the initial state goes in one period, in the states' units, (n, n)."""
+        if self.system is not None:
+            return monodromy(self.system)
+        return read_only(self.maps.product * self.maps.scales[:, None] / self.maps.scales)
+
+    @cached_property
     def modes(self) -> ComplexArray:
         """Eigenvectors of the monodromy matrix at the start of the period, one a column, of unit length; (n, n)."""
         modes = self.mode_shapes[0]
@@ -151,9 +189,8 @@ class Floquet:
 
         One mode a column, in the order of the multipliers, of unit length where it is longest.
         """
-        vectors = np.stack([self._vectors(i)[0] for i in range(self.system.n_states)], axis=2)
-        starts = np.cumsum(self.system.fine_pieces) - self.system.fine_pieces
-        shapes = vectors[starts] * self.system.scaled.scales[:, None]
+        vectors = np.stack([self._vectors(i)[0] for i in range(self.multipliers.size)], axis=2)
+        shapes = vectors[self.maps.starts] * self.maps.scales[:, None]
         return shapes / np.max(np.linalg.norm(shapes, axis=1), axis=0)
 
     @cached_property
@@ -162,14 +199,24 @@ class Floquet:
 
         One a column, so scaled that q^T p = 1 for its own mode.
         """
-        vectors = np.stack([self._vectors(i)[1] for i in range(self.system.n_states)], axis=2)
-        starts = np.cumsum(self.system.fine_pieces) - self.system.fine_pieces
-        shapes = vectors[starts] / self.system.scaled.scales[:, None]
+        vectors = np.stack([self._vectors(i)[1] for i in range(self.multipliers.size)], axis=2)
+        shapes = vectors[self.maps.starts] / self.maps.scales[:, None]
         return shapes / np.sum(shapes * self.mode_shapes, axis=1, keepdims=True)
 
     def mode_shape(self, mode: int, times: FloatArray) -> ComplexArray:
-        """Return p(t) of one mode at times within the period [s], shape (n, n_times)."""
+        """Return p(t) of one mode at times within the period [s], shape (n, n_times).
+
+        Raises
+        ------
+        ValueError
+            The multipliers are of an orbit, whose modes are known at the starts of its steps: `mode_shapes`.
+        """
         system, exponent = self.system, self.exponents[mode]
+        if system is None:
+            raise ValueError(
+                "mode_shape: found the multipliers of an orbit, expected those of a periodic system (lp.floquet); "
+                "the modes of an orbit are known at the starts of its steps, .mode_shapes"
+            )
         step, local = system.step_at(times)
         matrices = system.scaled.matrices[step, :-1, :-1] - exponent * np.eye(system.n_states)
         maps = complex_exponentials(matrices * local[:, None, None])
@@ -187,8 +234,11 @@ class Floquet:
 
     def _upper_vectors(self, mode: int) -> tuple[ComplexArray, ComplexArray]:
         if mode not in self._known_vectors:
-            # Members of one multiple multiplier take the singular vectors in turn.
+            if not np.isfinite(self.log_moduli[mode]):
+                member = int(np.count_nonzero(~np.isfinite(self.log_moduli[mode + 1 :])))
+                return self._vanishing(member)
             apart = np.abs(self.log_moduli - self.log_moduli[mode]) + np.abs(self.angles - self.angles[mode])
+            # Members of one multiple multiplier take the singular vectors in turn.
             member = int(np.count_nonzero(apart[:mode] < 1e-8))
             self._known_vectors[mode] = self._pieces_of_exponent(complex(self.exponents[mode]), member)
         return self._known_vectors[mode]
@@ -198,15 +248,32 @@ class Floquet:
         return {}
 
     def _pieces_of_exponent(self, exponent: complex, member: int) -> tuple[ComplexArray, ComplexArray]:
-        system, pieces = self.system, self.system.fine_pieces
-        n = system.n_states
-        matrices = (system.scaled.matrices[:, :n, :n] - exponent * np.eye(n)) * system.durations[:, None, None]
-        factors = np.repeat(complex_exponentials(matrices / pieces[:, None, None]), pieces, axis=0)
-        nothing = np.zeros((len(factors), n, 1))
+        factors = self._shifted(exponent)
+        nothing = np.zeros((len(factors), factors.shape[1], 1))
         forward = _null_trajectory(reduced(factors, nothing), member)
         transposed = np.swapaxes(factors[::-1], 1, 2)
         backward = _null_trajectory(reduced(transposed, nothing), member)
         return forward, np.roll(backward[::-1], 1, axis=0)
+
+    def _vanishing(self, member: int) -> tuple[ComplexArray, ComplexArray]:
+        """Return p and q of a multiplier of zero: what is gone after a period, and what nothing before it leads to."""
+        factors = self.maps.factors
+        left, _, right = np.linalg.svd(self.maps.product)
+        forward, backward = [right[-1 - member]], [left[:, -1 - member]]
+        for factor in factors[:-1]:
+            forward.append(factor @ forward[-1])
+        for factor in factors[:0:-1]:
+            backward.append(factor.T @ backward[-1])
+        return np.array(forward, dtype=np.complex128), np.roll(np.array(backward[::-1], dtype=np.complex128), 1, axis=0)
+
+    def _shifted(self, exponent: complex) -> ComplexArray:
+        """Return the maps less the growth of one mode, shape (n_maps, n, n): its shape repeats under them."""
+        system, maps = self.system, self.maps
+        if system is None:
+            return np.asarray(maps.factors * np.exp(-exponent * maps.durations)[:, None, None], dtype=np.complex128)
+        n, pieces = system.n_states, system.fine_pieces
+        matrices = (system.scaled.matrices[:, :n, :n] - exponent * np.eye(n)) * system.durations[:, None, None]
+        return np.repeat(complex_exponentials(matrices / pieces[:, None, None]), pieces, axis=0)
 
 
 def _null_trajectory(one: Reduced, member: int) -> ComplexArray:
@@ -234,13 +301,36 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     'stable'
     """
     expect_system(system)
-    found = from_logs(*log_multipliers(_factors(system)))
+    pieces = system.fine_pieces
+    maps = Maps(
+        factors=_factors(system),
+        durations=np.repeat(system.durations / pieces, pieces),
+        starts=np.cumsum(pieces) - pieces,
+        scales=system.scaled.scales,
+    )
+    found = from_logs(*log_multipliers(maps.factors))
     return Floquet(
-        system=system,
+        period=system.period,
         multipliers=found.multipliers,
         log_moduli=found.log_moduli,
         angles=found.angles,
         least_margin=not_negative("least_margin", least_margin),
+        maps=maps,
+        system=system,
+    )
+
+
+def orbit_multipliers(orbit: Orbit, maps: Maps, margin: float) -> Floquet:
+    """Return the multipliers of an orbit from the maps of a disturbance over it; `margin` is what they are good to."""
+    found = product_multipliers(maps.factors)
+    return Floquet(
+        period=orbit.period,
+        multipliers=found.multipliers,
+        log_moduli=found.log_moduli,
+        angles=found.angles,
+        least_margin=margin,
+        maps=maps,
+        orbit=orbit,
     )
 
 

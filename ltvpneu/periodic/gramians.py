@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array, read_only
+from ltvpneu._values import Value
 from ltvpneu.periodic.lyapunov import expect_stable, from_reversed, periodic_factors, step_gramians
 from ltvpneu.periodic.propagate import exponentials
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
@@ -19,7 +20,7 @@ from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Gramians:
+class Gramians(Value):
     """Gramians over the period, from their factors at the starts of the steps."""
 
     system: PeriodicSystem

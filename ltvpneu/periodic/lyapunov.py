@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array, read_only
+from ltvpneu._values import Value
 from ltvpneu.errors import NotStableError
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.propagate import exponentials, one_blas_thread
@@ -31,7 +32,7 @@ NODES, WEIGHTS = (NODES + 1) / 2, WEIGHTS / 2
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class StepGramians:
+class StepGramians(Value):
     """Integrals over single steps."""
 
     controllability: FloatArray

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array, whole
+from ltvpneu._values import Value
 from ltvpneu.periodic import bridge
 
 if TYPE_CHECKING:
@@ -32,15 +33,15 @@ class Trajectory(Protocol):
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Orbit:
+class Orbit(Value):
     """One period of a periodic solution.
 
     Examples
     --------
     >>> import ltvpneu as lp
     >>> orbit = lp.nonlinear_orbit(lp.load_machine("kunt_singh_1990"), frequency=4.0)
-    >>> print(f"{1e3 * orbit.amplitude('position'):.2f} mm, unique: {orbit.is_unique}")
-    35.28 mm, unique: True
+    >>> print(f"{1e3 * orbit.amplitude('position'):.2f} mm, isolated: {orbit.is_isolated}")
+    35.28 mm, isolated: True
     """
 
     system_period: float
@@ -55,16 +56,19 @@ class Orbit:
     trajectory: Trajectory
     states: tuple[str, ...]
     outputs: tuple[str, ...]
-    is_unique: bool
-    """Whether no other periodic solution lies next to it; false within a stiction band."""
+    is_isolated: bool
+    """Whether no other periodic solution lies next to it; false for one of a stiction band. Whether there are others
+    far from it, which other starts lead to, is what `attractors` looks for."""
     residual: float
     """Change of the scaled state over one orbit [-]: how well it closes."""
     n_simulated: int
     """System periods simulated to reach it; 0 where it was solved for."""
     name: str
+    rest: str = ""
+    """Of a piston that rests throughout, what holds it: "held by stiction", or "rests on the upper stop, 50 mm"."""
 
     def __repr__(self) -> str:
-        kind = "" if self.is_unique else ", one of a band"
+        kind = f", {self.rest}" if self.rest else "" if self.is_isolated else ", one of a band"
         amplitude = f"amplitude of {self.signals[0]} {self.amplitude(0):.6g}"
         return f"<Orbit of {self.name}: period {self.period:.6g} s, {len(self.step_labels)} steps, {amplitude}{kind}>"
 

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import BoolArray, ComplexArray, FloatArray, finite_array, read_only
+from ltvpneu._values import Value
 from ltvpneu.periodic.schur import EPS, log_eigenvalues
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ProductMultipliers:
+class ProductMultipliers(Value):
     """Eigenvalues of a product of matrices, largest first."""
 
     multipliers: ComplexArray

@@ -18,6 +18,7 @@ from scipy.linalg.lapack import dgebal  # pyright: ignore[reportAttributeAccessI
 from threadpoolctl import ThreadpoolController
 
 from ltvpneu._arrays import ComplexArray, FloatArray
+from ltvpneu._values import Value
 
 
 @cache
@@ -48,7 +49,7 @@ def complex_exponentials(matrices: ComplexArray) -> ComplexArray:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ScaledSteps:
+class ScaledSteps(Value):
     """A system's augmented matrices in balanced coordinates: states divided by `scales`, the forcing by `unit`.
 
     In these coordinates the augmented state is (z / scales, unit), and `matrices` holds [[A, f], [0, 0]] of each step.
@@ -93,7 +94,7 @@ def scaled_steps(A: FloatArray, f: FloatArray, durations: FloatArray) -> ScaledS
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class StepMaps:
+class StepMaps(Value):
     """Maps of the balanced augmented state over each step, and the coordinates they are in."""
 
     maps: FloatArray

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import solve_discrete_lyapunov
 
 from ltvpneu._arrays import ComplexArray, FloatArray, finite_array, read_only, solved
+from ltvpneu._values import Value
 from ltvpneu.errors import NotStabilizableError
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.gramians import balanced_matrices
@@ -40,7 +41,7 @@ class Weights(NamedTuple):
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Regulator:
+class Regulator(Value):
     """Optimal periodic state feedback u = -K(t) z."""
 
     system: PeriodicSystem
@@ -86,7 +87,7 @@ class Regulator:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Estimator:
+class Estimator(Value):
     """Optimal periodic estimator z_hat' = A z_hat + B u + L(t) (y - C z_hat - D u)."""
 
     system: PeriodicSystem

@@ -22,6 +22,7 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, solved
+from ltvpneu._values import Value
 from ltvpneu.periodic.propagate import exponentials
 
 HAMILTONIAN_STEP = 0.5
@@ -30,7 +31,7 @@ HAMILTONIAN_STEP = 0.5
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Scattering:
+class Scattering(Value):
     """E, G, H of one step, or of a stack of steps, each (..., n, n)."""
 
     E: FloatArray

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ltvpneu._arrays import ComplexArray, FloatArray, finite_array, read_only
+from ltvpneu._values import Value
 from ltvpneu.periodic.cyclic import solve_cyclic_adjoint
 from ltvpneu.periodic.exponential import ExponentialTrajectory, Extreme
 from ltvpneu.periodic.floquet import Floquet, floquet
@@ -38,7 +39,7 @@ from ltvpneu.periodic.variation import Variation, varied
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Gradient:
+class Gradient(Value):
     """Derivatives of one quantity; complex where the quantity is."""
 
     by_duration: NDArray[Any]
@@ -75,7 +76,7 @@ class _Functional(NamedTuple):
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Sensitivity:
+class Sensitivity(Value):
     """Derivatives of the periodic steady state of a system; each is computed when first asked for.
 
     Examples

@@ -71,7 +71,7 @@ def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Or
         trajectory=trajectory,
         states=system.states,
         outputs=system.outputs,
-        is_unique=True,
+        is_isolated=True,
         residual=float((np.abs(reached - following) / scales).max(initial=0.0)),
         n_simulated=0,
         name=system.name,
@@ -155,14 +155,15 @@ def _raise_singular(system: PeriodicSystem, one: Reduced, null: _Null) -> None:
     directions = np.linalg.qr(scales[:, None] * right_null)[0]
     least_norm = particular - directions @ (directions.T @ particular)
     gap = float(null.values[null.found].max())
+    # Named in scaled states: in mixed units a pressure, being a large number, would always stand first.
     shown = "; ".join(
-        ", ".join(f"{name} {x:+.3g}" for name, x in zip(system.states, direction, strict=True) if abs(x) > 1e-12)
-        for direction in directions.T
+        ", ".join(f"{name} {x:+.3g}" for name, x in zip(system.states, direction, strict=True) if abs(x) > 1e-6)
+        for direction in right_null.T
     )
     raise NonUniqueOrbitError(
         f"The periodic equation is singular to {gap:.1e}: a Floquet multiplier equals one, so the orbit is not unique. "
-        f"Free direction: {shown}. A piston without a spring does that; the orbit nearest the origin is "
-        "in .least_norm.",
+        f"Free direction, in scaled states: {shown}. A state that nothing brings back does that, such as the position "
+        "of a piston without a spring; the orbit nearest the origin is in .least_norm.",
         least_norm=least_norm,
         free_directions=directions,
     )

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, IntArray, finite_array, read_only
+from ltvpneu._values import Value
 from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.bridge import CONSTANT_INPUT
@@ -30,7 +31,7 @@ Matrices = Sequence[ArrayLike] | FloatArray
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Step:
+class Step(Value):
     """One step: z' = A z + B u + r, y = C z + D u + q over a duration."""
 
     duration: float
@@ -84,7 +85,7 @@ def expect_system(system: object) -> None:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class PeriodicSystem:
+class PeriodicSystem(Value):
     """A periodic, piecewise-constant system.
 
     Parameters

@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu._values import Value
 from ltvpneu.periodic.cyclic import solve_cyclic
 from ltvpneu.periodic.exponential import ExponentialTrajectory, Extreme, step_integrals
 from ltvpneu.periodic.orbit import signal_index
@@ -20,7 +21,7 @@ from ltvpneu.periodic.propagate import exponentials
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Variation:
+class Variation(Value):
     """Derivative of an orbit, and of what is read off it, along one direction."""
 
     trajectory: ExponentialTrajectory

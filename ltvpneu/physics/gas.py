@@ -23,6 +23,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, positive, read_only
 from ltvpneu._compiled import compiled
+from ltvpneu._values import Value
 from ltvpneu.physics.properties import IDEAL, Properties
 
 
@@ -50,7 +51,7 @@ class GasState(NamedTuple):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Gas:
+class Gas(Value):
     """An ideal gas at the temperature of its surroundings; by default air at 20 degC.
 
     Parameters

@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from typing import final
 
 from ltvpneu._arrays import positive
+from ltvpneu._values import Value
 from ltvpneu.physics.thermal import EnergyBalance
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class InnerVolume:
+class InnerVolume(Value):
     """A volume inside a rotary valve, into which its ports open.
 
     Parameters

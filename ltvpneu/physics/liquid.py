@@ -30,6 +30,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, not_negative, positive, read_only
 from ltvpneu._compiled import compiled
+from ltvpneu._values import Value
 from ltvpneu.physics.gas import Gas, GasConstants
 from ltvpneu.physics.properties import LIQUID, Properties
 
@@ -40,7 +41,7 @@ LEAST_VISCOSITY = 1e-6
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Liquid:
+class Liquid(Value):
     """A liquid with entrained gas; by default mineral oil, ISO VG 32 at 40 degC.
 
     Parameters

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import final
 
 from ltvpneu._arrays import finite, not_negative, positive
+from ltvpneu._values import Value
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Load:
+class Load(Value):
     """What the piston moves.
 
     Parameters

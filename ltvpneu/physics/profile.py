@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite_array
+from ltvpneu._values import Value
 
 TURN = 2 * math.pi
 # Two angles nearer than this are the same switching instant; 1e-9 of a turn is 1 ns at 1 Hz.
@@ -17,7 +18,7 @@ SAME_ANGLE = 1e-9 * TURN
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Profile:
+class Profile(Value):
     """A piecewise-linear function of the valve angle over one turn; it may jump between pieces.
 
     Parameters

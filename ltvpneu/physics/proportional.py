@@ -8,12 +8,13 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite
+from ltvpneu._values import Value
 from ltvpneu.physics.profile import SAME_ANGLE, TURN, Profile
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Command:
+class Command(Value):
     """A spool's position over the turn, linear between points; from -1 to 1.
 
     Parameters
@@ -101,7 +102,7 @@ class Command:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class ProportionalValve:
+class ProportionalValve(Value):
     """A valve whose paths open in proportion to a command.
 
     Parameters

@@ -35,6 +35,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, positive
+from ltvpneu._values import Value
 from ltvpneu.errors import GasRangeError
 from ltvpneu.physics.equation_of_state import STANDARD_PRESSURE, EquationOfState, Range, limits, ratios
 from ltvpneu.physics.gas import Gas, GasConstants, GasState
@@ -57,7 +58,7 @@ class InterpolationError(NamedTuple):
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class RealGas:
+class RealGas(Value):
     """A real gas at the temperature of its surroundings, tabulated over pressure and temperature.
 
     Only the gas at rest has to be inside the ranges: in the throat of a nozzle it is colder and at a lower pressure.

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from typing import final
 
 from ltvpneu._arrays import not_negative, positive
+from ltvpneu._values import Value
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class EnergyBalance:
+class EnergyBalance(Value):
     """First law for a chamber: adiabatic as it stands, or with heat transfer to a wall.
 
     Parameters

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, final
 
 from ltvpneu._arrays import finite, not_negative
+from ltvpneu._values import Value
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.profile import TURN, Profile, added
 from ltvpneu.physics.window import Pulses, Window, check_pulses, support
@@ -29,7 +30,7 @@ Phase = Literal["on", "off", "always"]
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Port:
+class Port(Value):
     """One port of a rotary valve: it opens a flow path ("way") into an inner volume over an arc of the turn.
 
     Parameters
@@ -69,7 +70,7 @@ class Port:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class RotaryValve:
+class RotaryValve(Value):
     """A rotary valve: any number of ports, ways and inner volumes (1)-(2), turning once per period.
 
     Parameters
@@ -183,7 +184,7 @@ class RotaryValve:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class OnOffValve:
+class OnOffValve(Value):
     """A valve that is on for a share `duty` of the period, in one piece or in several pulses.
 
     Parameters

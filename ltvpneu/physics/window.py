@@ -9,12 +9,13 @@ from typing import Any, cast, final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, not_negative
+from ltvpneu._values import Value
 from ltvpneu.physics.profile import SAME_ANGLE, TURN, Profile, merge_angles
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Window:
+class Window(Value):
     """An opening that is uncovered over one arc of the turn, with linear ramps inside it.
 
     Parameters
@@ -83,7 +84,7 @@ def opened(windows: Sequence[Window]) -> Profile:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Pulses:
+class Pulses(Value):
     """Several openings a turn, one after the other.
 
     Parameters

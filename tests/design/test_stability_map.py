@@ -38,7 +38,7 @@ def test_stability_and_ripple_are_those_of_the_models(table_1, found):
     assert found.spectral_radii[2, 1] == pytest.approx(lp.floquet(model.system).spectral_radius, rel=1e-12)
     assert found.amplitudes[2, 1] == pytest.approx(orbit.amplitude("position"), rel=1e-9)
     assert found.is_stable.all()
-    assert not found.is_unique[2, 2]
+    assert not found.is_isolated[2, 2]
     low, high = found.box.position
     inside = low <= orbit.minimum("position") and orbit.maximum("position") <= high
     low, high = found.box.pressures[0]

@@ -21,6 +21,7 @@ from ltvpneu.physics.gas import GasState
 from ltvpneu.physics.medium import path_flow, path_flow_slopes
 from tests.conftest import EXTENSIONS, MACHINES
 from tests.models.test_linearize import differences, input_differences, rate, relative_error
+from tests.models.twin import rods
 
 GAS = {name: machine for name, machine in EXTENSIONS.items() if not isinstance(machine.gas, lp.Liquid)}
 AIR = lp.Gas()
@@ -178,8 +179,10 @@ class MassTwin:
         load, c = machine.load, machine.cylinder
         sides = {name: p[k] for k, name in enumerate(machine.volumes)}
         force = load.force - load.spring_stiffness * x - load.viscous_damping * v
-        force += (c.piston_area_1 - c.seal_friction_area) * sides.get("chamber_1", machine.exhaust_pressure)
-        force -= (c.piston_area_2 + c.seal_friction_area) * sides.get("chamber_2", machine.exhaust_pressure)
+        force += (c.piston_area_1 - c.seal_friction_area) * sides.get("chamber_1", machine.ambient_pressure)
+        force -= (c.piston_area_2 + c.seal_friction_area) * sides.get("chamber_2", machine.ambient_pressure)
+        rod_1, rod_2 = rods(c)
+        force += (rod_1 - rod_2) * machine.ambient_pressure
         dm, dU = np.zeros(n), np.zeros(n)
         known = {"supply": (machine.supply_pressure, 293.15), "exhaust": (machine.exhaust_pressure, 293.15)}
         known |= {name: (p[k], T[k]) for k, name in enumerate(machine.volumes)}

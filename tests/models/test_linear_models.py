@@ -107,7 +107,7 @@ def test_superposition_holds_in_the_physical_inputs(table_1):
 def test_steps_are_state_spaces_with_physical_inputs(table_1, double_acting):
     for machine, n in ((table_1, 3), (double_acting, 4)):
         for step in lp.ltv_model(machine, 4.0, n_steps=6).system.steps:
-            assert step.sys.input_labels == ["supply_pressure", "exhaust_pressure", "load_force"]
+            assert step.sys.input_labels == ["supply_pressure", "exhaust_pressure", "load_force", "ambient_pressure"]
             assert step.sys.nstates == n
             np.testing.assert_allclose(step.sys.B @ machine.levels, step.f, rtol=1e-12)
     assert "one" in lp.lti_model(table_1, 4.0).system.steps[0].sys.input_labels

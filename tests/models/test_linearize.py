@@ -50,12 +50,12 @@ def input_differences(machine: lp.Machine, state: np.ndarray, areas: np.ndarray)
     def at(index: int, value: float) -> np.ndarray:
         if index == 2:
             return rate(replace(machine, load=replace(machine.load, force=value)), state, areas)
-        name = ("supply_pressure", "exhaust_pressure")[index]
+        name = {0: "supply_pressure", 1: "exhaust_pressure", 3: "ambient_pressure"}[index]
         return rate(replace(machine, **{name: value}), state, areas)
 
-    steps = (1e-5 * machine.supply_pressure, 1e-5 * machine.exhaust_pressure, 1.0)
+    steps = (1e-5 * machine.supply_pressure, 1e-5 * machine.exhaust_pressure, 1.0, 1e-2 * machine.ambient_pressure)
     levels = machine.levels
-    return np.array([difference(lambda v, i=i: at(i, v), levels[i], steps[i]) for i in range(3)]).T
+    return np.array([difference(lambda v, i=i: at(i, v), levels[i], steps[i]) for i in range(4)]).T
 
 
 def relative_error(found: np.ndarray, expected: np.ndarray, scales: np.ndarray) -> float:

@@ -35,7 +35,7 @@ def test_orbits_of_a_separate_solver_come_out_again(table_1, case):
     for name, figure in pressures.items():
         # At 1 Hz the pressure touches the exhaust's, where the interpolant is good to some tenths of a pascal.
         assert figure("pressure_1") == pytest.approx(case[name], rel=5e-6)
-    assert orbit.is_unique
+    assert orbit.is_isolated
     assert orbit.n_periods == 1
 
 
@@ -114,7 +114,7 @@ def test_a_piston_locked_by_stiction_is_reported_as_one_of_a_band(table_1):
     """Where the force swings by less than 2 F_s, any position in a band is as good: errata, 49 N against 53 N."""
     machine = table_1.with_duty(0.7)
     orbit = lp.nonlinear_orbit(machine, 20.0)
-    assert not orbit.is_unique
+    assert not orbit.is_isolated
     assert orbit.amplitude("position") == 0
     assert set(orbit.step_labels) == {"stuck"}
     times = np.linspace(0, orbit.period, 2001)[:-1]
@@ -122,7 +122,7 @@ def test_a_piston_locked_by_stiction_is_reported_as_one_of_a_band(table_1):
     assert np.ptp(forces) == pytest.approx(49, abs=0.5)
     elsewhere = orbit.initial_state + np.array([5e-4, 0.0, 0.0])
     other = lp.nonlinear_orbit(machine, 20.0, initial_state=elsewhere)
-    assert not other.is_unique
+    assert not other.is_isolated
     assert other.mean("position") != pytest.approx(orbit.mean("position"), abs=1e-5)
 
 
@@ -130,7 +130,7 @@ def test_a_piston_that_creeps_to_its_place_rests_where_simulation_leaves_it(tabl
     """Ratcheting up by ever smaller steps, it stops for good in period 43; any shortcut would carry it past."""
     machine, frequency = table_1.with_duty(0.05), 15.831578947368422
     orbit = lp.nonlinear_orbit(machine, frequency)
-    assert not orbit.is_unique
+    assert not orbit.is_isolated
     late = lp.simulate(machine, frequency, n_periods=80, points_per_period=1)
     assert orbit.mean("position") == pytest.approx(late.states[0, -1], abs=1e-9)
 
@@ -152,7 +152,7 @@ def test_a_subharmonic_orbit_is_reported_with_its_period(table_1, frequency, dut
 def test_duty_zero_and_one_come_to_rest(table_1, duty):
     orbit = lp.nonlinear_orbit(table_1.with_duty(duty), 4.0)
     assert orbit.amplitude("position") == 0
-    assert not orbit.is_unique
+    assert not orbit.is_isolated
     free = lp.nonlinear_orbit(table_1.without_dry_friction().with_duty(duty), 4.0)
     # Supply through 6.4 mm2 against the bleed of 3.88 mm2, choked: the pressure at which the flows agree.
     flux = Twin(table_1).flux
@@ -160,7 +160,7 @@ def test_duty_zero_and_one_come_to_rest(table_1, duty):
     expected = ((0.59e-3 + 0.32e-4) * pressure - (0.64e-3 - 0.32e-4) * 1e5) / 2100
     assert free.mean("position") == pytest.approx(expected, abs=1e-7)
     assert free.n_periods == 1
-    assert free.is_unique
+    assert free.is_isolated
 
 
 def test_end_stops_hold_the_piston_without_rebound(table_1):
@@ -171,7 +171,7 @@ def test_end_stops_hold_the_piston_without_rebound(table_1):
     pressed = lp.nonlinear_orbit(machine.with_duty(1.0), 2.0)
     assert pressed.mean("position") == pytest.approx(0.06, rel=1e-15)
     # Pressed against the stop by more than stiction holds: there is nowhere else to rest.
-    assert pressed.is_unique
+    assert pressed.is_isolated
 
 
 @pytest.mark.parametrize(

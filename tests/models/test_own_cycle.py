@@ -108,7 +108,7 @@ def test_what_is_held_back_near_a_source_is_listed(table_1):
 
 def test_bands_and_subharmonics_come_out_as_the_machine_has_them(table_1):
     rests = lp.ltv_model(table_1.with_duty(0.7), 20.0, operating_points="fitted", n_steps=20).orbit
-    assert not rests.is_unique
+    assert not rests.is_isolated
     assert rests.amplitude(0) < 1e-6
     machine = table_1.with_duty(0.86)
     exact = lp.nonlinear_orbit(machine, 5.4)
@@ -295,8 +295,8 @@ def test_the_double_acting_drive_has_a_cycle_at_every_duty(duty, frequency):
 
 def test_a_piston_pressed_on_a_stop_is_where_it_is():
     machine = with_load(lp.load_machine("double_acting_5_2"), -1000.0)
-    assert lp.ltv_model(machine, 4.0, operating_points="fitted").orbit.is_unique
-    assert lp.nonlinear_orbit(machine, 4.0).is_unique
+    assert lp.ltv_model(machine, 4.0, operating_points="fitted").orbit.is_isolated
+    assert lp.nonlinear_orbit(machine, 4.0).is_isolated
 
 
 def test_multipliers_of_an_orbit_that_hits_its_stops_without_dry_friction():
@@ -364,7 +364,7 @@ def test_a_cycles_multipliers_are_those_of_the_nonlinear_orbit(name, frequency, 
 
 def test_a_cycle_in_a_stiction_band_is_marginal_and_other_models_have_their_systems_multipliers(table_1):
     resting = lp.ltv_model(table_1.with_duty(0.7), 20.0, operating_points="self-consistent", n_steps=10)
-    assert not resting.orbit.is_unique
+    assert not resting.orbit.is_isolated
     assert lp.cycle_floquet(resting).verdict == "marginal"
     model = lp.ltv_model(table_1, 4.0)
     assert lp.cycle_floquet(model).spectral_radius == lp.floquet(model.system).spectral_radius

@@ -1,8 +1,8 @@
 """A slow, plain twin of the nonlinear model: scipy's integrator on equations written out once more, in Python.
 
 It shares no code with the package but the machine's data: areas are evaluated by their windows, flows by eq. (5) as
-printed
-after correction, stick and slip by terminal events. It restarts at each switching instant and at each event.
+printed after correction, the push of the air round the cylinder by the bore, stick, slip and stops by terminal events.
+It restarts at each switching instant and at each event.
 """
 
 import math
@@ -16,6 +16,20 @@ from scipy.optimize import brentq
 import ltvpneu as lp
 
 STUCK = 0
+
+
+def rods(cylinder: lp.Cylinder) -> tuple[float, float]:
+    """Cross-sections of the rods: with its rod each side of the piston covers the whole bore."""
+    bore = max(cylinder.piston_area_1, cylinder.piston_area_2)
+    first, second = cylinder.rod_area_1, cylinder.rod_area_2
+    if first is not None:
+        bore = cylinder.piston_area_1 + first
+    elif second is not None:
+        bore = cylinder.piston_area_2 + second
+    return (
+        bore - cylinder.piston_area_1 if first is None else first,
+        bore - cylinder.piston_area_2 if second is None else second,
+    )
 
 
 @dataclass
@@ -65,9 +79,10 @@ class Twin:
     def force(self, z: np.ndarray) -> float:
         m, c = self.machine, self.machine.cylinder
         pressures = {name: z[2 + k] for k, name in enumerate(c.chambers)}
-        p1, p2 = (pressures.get(f"chamber_{i}", m.exhaust_pressure) for i in (1, 2))
+        p1, p2 = (pressures.get(f"chamber_{i}", m.ambient_pressure) for i in (1, 2))
         push = (c.piston_area_1 - c.seal_friction_area) * p1 - (c.piston_area_2 + c.seal_friction_area) * p2
-        return push - m.load.spring_stiffness * z[0] + m.load.force
+        rod_1, rod_2 = rods(c)
+        return push + (rod_1 - rod_2) * m.ambient_pressure - m.load.spring_stiffness * z[0] + m.load.force
 
     def rate(self, t: float, z: np.ndarray, period: float, mode: int) -> np.ndarray:
         m, c = self.machine, self.machine.cylinder
