@@ -14,6 +14,7 @@ import ltvpneu as lp
 from ltvpneu.errors import CavitationError, GasRangeError
 from ltvpneu.models.dynamics import state_rate
 from ltvpneu.models.linearize import areas_at
+from ltvpneu.models.machine_arrays import N_INPUTS
 from ltvpneu.models.quasi_static import settled_states
 from ltvpneu.models.staircase import staircase
 from ltvpneu.models.tangent import state_tangent
@@ -79,7 +80,8 @@ def test_the_short_cut_of_the_papers_case_equals_the_general_equations(name, val
     np.testing.assert_allclose(long, short, rtol=1e-9, atol=1e-9 * np.abs(short).max())
     if is_clear_of_equal_pressures(machine, state):
         n = state.size
-        A, B, C, D = np.empty((n, n)), np.empty((n, 3)), np.empty((n, n)), np.empty((n, 3))
+        A, C = np.empty((n, n)), np.empty((n, n))
+        B, D = np.empty((n, N_INPUTS)), np.empty((n, N_INPUTS))
         state_tangent(state, areas, machine.arrays, True, A, B)
         state_tangent(state, areas, general, True, C, D)
         assert relative_error(C, A, machine.state_scales) < 1e-9
