@@ -6,16 +6,11 @@ from ltvpneu.design.duty_cycle import Goals, optimize_duty
 from ltvpneu.design.duty_map import DutyMap, duty_map
 from ltvpneu.design.duty_problem import DutyProblem, duty_problem
 from ltvpneu.design.duty_solution import DutySolution
-from ltvpneu.design.feedback import (
-    ClosedLoop,
-    Measurement,
-    PositionController,
-    duty_model,
-    simulate_closed_loop,
-)
+from ltvpneu.design.feedback import ClosedLoop, Measurement, duty_model, simulate_closed_loop
 from ltvpneu.design.forcing import ForcingProblem, ForcingSolution, forcing_problem
 from ltvpneu.design.linearized_cycle import LinearizedCycle
 from ltvpneu.design.pattern import PatternSolution, optimize_pattern
+from ltvpneu.design.position_controller import PositionController
 from ltvpneu.design.stability_map import Box, StabilityMap, stability_map
 from ltvpneu.design.valve_limits import ValveLimits
 

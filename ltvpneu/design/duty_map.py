@@ -41,6 +41,37 @@ class DutyMap(Value):
         """Return the number of a frequency of the map."""
         return self.orbits.row(frequency)
 
+    def curve(self, frequency: float) -> tuple[FloatArray, FloatArray]:
+        """Return the duties at which the piston moves, rising, and its mean positions there [m].
+
+        Parameters
+        ----------
+        frequency : float
+            One of the map's [Hz].
+
+        Raises
+        ------
+        ValueError
+            Fewer than two such duties, or the mean does not rise or fall with the duty throughout.
+        """
+        row = self.row(frequency)
+        moving = np.array([kind in ("unique", "subharmonic") for kind in self.orbits.kinds[row]])
+        duties, means = self.orbits.duties[moving], self.means[row][moving]
+        order = np.argsort(duties)
+        duties, means = duties[order], means[order]
+        if duties.size < 2:
+            raise ValueError(
+                f"duty_map: found {duties.size} duties at which the piston moves at {frequency:g} Hz, expected two or "
+                "more"
+            )
+        rises = np.diff(means)
+        if not ((rises > 0).all() or (rises < 0).all()):
+            raise ValueError(
+                f"mean: at {frequency:g} Hz the mean position does not rise or fall with the duty throughout, so no "
+                "duty belongs to it; take fewer duties, or look at the map"
+            )
+        return duties, means
+
     def duty_for(self, mean: float, frequency: float) -> float:
         """Return the duty at which the piston is at a mean position, between the map's points on a straight line.
 
@@ -59,23 +90,13 @@ class DutyMap(Value):
         ValueError
             No duty of the map reaches it or holds it, or the mean does not rise or fall with the duty throughout.
         """
-        row, mean = self.row(frequency), finite("mean", mean, "m")
-        moving = np.array([kind in ("unique", "subharmonic") for kind in self.orbits.kinds[row]])
+        mean = finite("mean", mean, "m")
         gap = self.orbits.unheld(frequency)
         if gap is not None and gap[0] < mean < gap[1]:
             raise ValueError(f"mean: found {1e3 * mean:.4g} mm. {self.orbits.remark(frequency)}")
-        duties, means = self.orbits.duties[moving], self.means[row][moving]
-        order = np.argsort(duties)
-        duties, means = duties[order], means[order]
-        if duties.size < 2:
-            raise ValueError(f"frequency: found {frequency:g} Hz, where it moves at {duties.size} duties only")
+        duties, means = self.curve(frequency)
         if means[0] > means[-1]:
             duties, means = duties[::-1], means[::-1]
-        if not (np.diff(means) > 0).all():
-            raise ValueError(
-                f"mean: at {frequency:g} Hz the mean position does not rise or fall with the duty throughout, so no "
-                "duty belongs to it; take fewer duties, or look at the map"
-            )
         if not means[0] <= mean <= means[-1]:
             raise ValueError(
                 f"mean: found {1e3 * mean:.4g} mm, expected {1e3 * means[0]:.4g} to {1e3 * means[-1]:.4g} mm, which "

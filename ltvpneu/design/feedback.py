@@ -5,6 +5,7 @@ duty of the next. The small-signal model is the derivative of the nonlinear mach
 orbit, stick and slip included, by central differences of integrations at a tolerance of 1e-10.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,9 +13,8 @@ from typing import TYPE_CHECKING, Any, cast, final
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray, finite, finite_array, not_negative, positive, read_only, whole
+from ltvpneu._arrays import FloatArray, finite, finite_array, positive, read_only
 from ltvpneu._values import Value
-from ltvpneu.design.duty_map import DutyMap
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.models.integrator import OK, integrate_period
 from ltvpneu.models.machine import Machine
@@ -112,6 +112,8 @@ class Measurement(Value):
     """Over the last period [m]; at first, the position."""
     state: FloatArray
     """(n_states,), now."""
+    duty: float = math.nan
+    """Share of the last period that the valve was open; nan at first, or where it is not known."""
 
 
 Controller = Callable[[Measurement], float]
@@ -155,67 +157,6 @@ class ClosedLoop(Value):
             after = int(outside[-1]) + 1 if outside.size else 0
             found.append(after if start + after < end else None)
         return found
-
-
-@final
-class PositionController:
-    """Feed-forward from the duty map, and an integrator of the mean position that rests near its goal.
-
-    Parameters
-    ----------
-    duty_map : DutyMap
-    frequency : float
-        One of the map's [Hz].
-    gain : float
-        Share of the error in the mean that each period's correction makes up for [-].
-    zone : float
-        Error of the mean within which the integrator rests [m], so that stiction makes it no hunter.
-    wait : int
-        Periods after a change of the reference in which the integrator rests, while the feed-forward takes the piston
-        there; else it would integrate the way, and overshoot.
-    most : float
-        Largest correction of the duty [-]; the integrator stops there, and does not wind up.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import ltvpneu as lp
-    >>> from ltvpneu import design
-    >>> machine = lp.load_machine("kunt_singh_1990")
-    >>> duties = design.duty_map(machine, np.linspace(0.3, 0.6, 7), [15.0])
-    >>> controller = design.PositionController(duties, 15.0)
-    >>> done = design.simulate_closed_loop(machine, controller, [0.045] * 40, 15.0)
-    >>> bool(abs(done.mean_positions[-1] - 0.045) < 0.5e-3)
-    True
-    """
-
-    def __init__(
-        self, duty_map: DutyMap, frequency: float, *, gain: float = 0.2, zone: float = 0.3e-3, wait: int = 8,
-        most: float = 0.3,
-    ) -> None:  # fmt: skip
-        self.duty_map, self.frequency = duty_map, frequency
-        self.gain, self.zone = positive("gain", gain), not_negative("zone", zone, "m")
-        self.wait, self.most = whole("wait", wait, 0), not_negative("most", most)
-        row = duty_map.row(frequency)
-        means = duty_map.means[row]
-        known = np.isfinite(means)
-        if known.sum() < 2:
-            raise ValueError(f"duty_map: found {known.sum()} points at {frequency:g} Hz, expected two or more")
-        self._slope = float(np.ptp(means[known]) / np.ptp(duty_map.orbits.duties[known]))
-        self.correction = 0.0
-        self._reference, self._changed = np.nan, 0
-
-    def __call__(self, measured: Measurement) -> float:
-        """Return the duty of the next period."""
-        if measured.number == 0:
-            self.correction = 0.0
-        if measured.number == 0 or measured.reference != self._reference:
-            self._reference, self._changed = measured.reference, measured.number
-        error = measured.reference - measured.mean_position
-        if abs(error) > self.zone and measured.number - self._changed > self.wait:
-            moved = self.correction + self.gain * error / self._slope
-            self.correction = float(np.clip(moved, -self.most, self.most))
-        return self.duty_map.duty_for(measured.reference, self.frequency) + self.correction
 
 
 def simulate_closed_loop(
@@ -267,7 +208,7 @@ def simulate_closed_loop(
         now = state.copy()
         measured = Measurement(
             number=number, time=number * period, reference=float(wanted[number]), mean_position=mean,
-            state=read_only(now),
+            state=read_only(now), duty=float(duties[number - 1]) if number else math.nan,
         )  # fmt: skip
         commands[number] = finite(f"controller: at {number * period:g} s", float(cast(Controller, law)(measured)))
         late = number - valve.delay
