@@ -20,14 +20,17 @@ from ltvpneu.design.duty_variables import (
     check_bounds,
     check_pair,
     default_variables,
+    drawn_in,
     expect_one_way_to_switch,
     pulse_limits,
 )
 from ltvpneu.design.global_search import search_globally
 from ltvpneu.design.linearized_cycle import LinearizedCycle, signal_scales
-from ltvpneu.design.sequential import Found, best_from, is_better
+from ltvpneu.design.local_search import search_locally
+from ltvpneu.design.nearest import nearest, ranges_of
+from ltvpneu.design.sequential import Found, best_from
 from ltvpneu.design.solving import Constraints, named_constraints
-from ltvpneu.design.starts import Progress, best_starts
+from ltvpneu.design.starts import Progress
 from ltvpneu.design.subproblem import BlockFigures, FigureBlock, Search, Subproblem, Task
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError
@@ -42,10 +45,9 @@ from ltvpneu.periodic.orbit import Orbit
 
 Scenario = Callable[[Machine], Machine]
 NOMINAL = "nominal"
+KEPT_WITHIN = 0.01
+"""Share of a goal that the nonlinear machine may break it by and still keeps it, see `DutySolution.tolerances` [-]."""
 ModelKind = Literal["fitted", "self-consistent", "nonlinear"]
-
-_STARTS = {1: (161, 641), 2: (169, 441)}
-"""Settings looked at first; more where that leads to no optimum."""
 
 
 class Cycles(Protocol):
@@ -68,13 +70,14 @@ class DutyProblem:
     frequency : float
         Where it is no variable [Hz].
     bounds : dict of (float, float)
-        Of every variable.
+        Of every variable; of the duty, drawn in to where the valve's ramps do not meet.
     variables : dict of cvxpy.Expression
         By name, SI units, scalars.
     scenarios : dict of LinearizedCycle
         By name; "nominal" is the machine as it is.
     limits : dict of cvxpy.Constraint
-        What every setting keeps: the variables' bounds, and pulses and pauses no shorter than asked for.
+        What every setting keeps: the variables' bounds, and pulses and pauses no shorter than asked for, nor than the
+        valve's ramps.
     """
 
     def __init__(
@@ -179,16 +182,9 @@ class DutyProblem:
             if start is not None:
                 found = best_from(search, [self._given(start)], *limits, progress)
             else:
-                counts = _STARTS.get(len(self.bounds), (16,)) if n_starts is None else (whole("n_starts", n_starts),)
-                found = None
-                for count in counts:
-                    begin = best_starts(search, self.own_setting, count, progress)
-                    other = best_from(search, begin, *limits, progress)
-                    found = other if found is None or is_better(search, other, found) else found
-                    if found.status == "optimal" or (found.status == "infeasible" and len(self.bounds) == 1):
-                        break
-                assert found is not None
-        return self._solution(found, search.subproblem, lower)
+                found = search_locally(search, self.own_setting, n_starts, limits, progress)
+        found = nearest(search, found, tolerance, max_iterations, progress)
+        return self._solution(found, search.subproblem, lower, ranges_of(search.noted))
 
     def search(
         self, objective: cp.Minimize | cp.Maximize, constraints: Constraints, model: ModelKind, steps_per_position: int
@@ -264,7 +260,9 @@ class DutyProblem:
         shares = [(finite(name, values[name]) - low) / (high - low) for name, (low, high) in self.bounds.items()]
         return np.clip(np.array(shares), 0.0, 1.0)
 
-    def _solution(self, found: Found, subproblem: Subproblem, lower: float) -> DutySolution:
+    def _solution(
+        self, found: Found, subproblem: Subproblem, lower: float, ranges: Mapping[str, float]
+    ) -> DutySolution:
         values = self.values_at(found.setting)
         machine, frequency = with_values(self.machine, values), float(values.get("frequency", self.frequency))
         objective, broken = subproblem.measured(found.setting, found.figures)
@@ -277,14 +275,19 @@ class DutyProblem:
                 orbits[name] = str(error)
         try:
             nonlinear = subproblem.measured(found.setting, self._evaluate(checked, found.setting))
-        except LtvpneuError:
+        except (LtvpneuError, ValueError):
             nonlinear = math.nan, dict.fromkeys(broken, math.nan)
+        sides = subproblem.magnitudes()
+        tolerances = {
+            name: max(KEPT_WITHIN * size, 0.1 * KEPT_WITHIN * ranges.get(name, 0.0)) for name, size in sides.items()
+        }
         return DutySolution(
             status=found.status,
             values=values,
             objective=objective if found.status != "infeasible" else math.nan,
             constraints=broken,
             nonlinear_constraints=nonlinear[1],
+            tolerances=tolerances,
             nonlinear_objective=nonlinear[0] if found.status != "infeasible" else math.nan,
             duals=found.duals,
             active=found.active + self._at_bounds(found.setting),
@@ -342,6 +345,8 @@ def duty_problem(
         Bounds of what is free: "duty", "offset_angle" [rad], edges of the valve's pulses "on_1", "off_1", "on_2", ...
         [rad], "more_valves.0.start" [rad], "supply_pressure" [Pa], or any number of the machine as in
         `parameter_sensitivity`. By default the duty, or, of a machine with several pulses, all edges but the first.
+        Of a valve with ramps, pulses and pauses stay long enough for it to open and shut fully: bounds of the duty that
+        reach further are drawn in, as `DutyProblem.bounds` shows.
     scenarios : mapping of str to callable, optional
         Each takes the machine, its variables set, to what it may be instead: lower supply pressure, more friction,
         another load.
@@ -356,7 +361,8 @@ def duty_problem(
     Raises
     ------
     ValueError
-        Unknown variables, bounds that contradict each other, shortest times that do not fit into a period.
+        Unknown variables, bounds that contradict each other, shortest times that do not fit into a period, bounds of
+        the duty between which the valve never opens, or never shuts, fully.
 
     Examples
     --------
@@ -388,6 +394,8 @@ def duty_problem(
     expect_one_way_to_switch(machine, bounds)
     for name, pair in bounds.items():
         check_bounds(machine, present, name, pair)
+    if "duty" in bounds:
+        bounds["duty"] = drawn_in(machine, bounds["duty"])
     problem = DutyProblem(machine, present, bounds, dict(scenarios or {}), valve)
     slowest = bounds["frequency"][0] if "frequency" in bounds else present
     problem.limits.update(pulse_limits(machine, slowest, problem.variables, valve))

@@ -16,9 +16,10 @@ class DutySolution(Value):
     """What a design of switching angles ended with."""
 
     status: str
-    """"optimal": stationary, all constraints kept. "infeasible": no setting near keeps them; this is the nearest that
-    was found. "edge": better settings next to this one have no cycle, as where stiction locks. "stopped": out of
-    iterations, or where the residual stays large."""
+    """Of the model that was designed on; whether the nonlinear machine keeps the goals, `broken` says. "optimal":
+    stationary, all constraints kept. "infeasible": no setting that was found keeps them; this is the nearest, by what
+    each goal ranges over, goals that some setting keeps by itself first. "edge": better settings next to this one have
+    no cycle, as where stiction locks. "stopped": out of iterations, or where the residual stays large."""
     values: dict[str, float]
     """Of the variables."""
     objective: float
@@ -27,6 +28,10 @@ class DutySolution(Value):
     """By how much each is broken on that model, in its own unit; 0 where it is kept."""
     nonlinear_constraints: dict[str, float]
     """The same on the nonlinear machine; nan where that has no cycle."""
+    tolerances: dict[str, float]
+    """By how much the nonlinear machine may break each goal and still counts as keeping it, in its own unit: a
+    hundredth of the larger of its two sides there, or a thousandth of what these differ by over the settings looked at,
+    if that is more."""
     nonlinear_objective: float
     """The same on the nonlinear machine; nan where it has no cycle, or where infeasible."""
     duals: dict[str, float]
@@ -70,4 +75,12 @@ class DutySolution(Value):
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name} {value:.6g}" for name, value in self.values.items())
-        return f"<DutySolution: {self.status}, objective {self.objective:.6g}, {shown}, residual {self.residual:.1e}>"
+        broken = f"; the machine breaks {', '.join(self.broken)}" if self.broken else ""
+        figures = f"objective {self.objective:.6g}, {shown}, residual {self.residual:.1e}"
+        return f"<DutySolution: {self.status}, {figures}{broken}>"
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """Goals that the nonlinear machine breaks by more than `tolerances`, or has no cycle to keep them with."""
+        missed = self.nonlinear_constraints
+        return tuple(name for name, by in missed.items() if not by <= self.tolerances[name])

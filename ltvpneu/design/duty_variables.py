@@ -15,10 +15,47 @@ from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.parameters import is_angle, present_value, pulse_edge, pulse_edges, with_values
 from ltvpneu.physics.proportional import Command
+from ltvpneu.physics.valve import RotaryValve
 
 Bounds = tuple[float, float]
 LEAST_WIDTH = 2e-3
 """Least share of the turn for a pulse, or between pulses, whatever is asked for: none of them vanishes [-]."""
+
+
+def least_shares(machine: Machine) -> tuple[float, float]:
+    """Return the least shares of the turn for a pulse, and for a pause, at which the valve opens and shuts fully.
+
+    Below, its ramps meet: it opens in part, and figures have no slopes in the way that the linear models find them.
+    """
+    valve = machine.valve
+    if isinstance(valve, RotaryValve):
+        ramps = [(port.phase, port.window.ramp) for port in valve.ports]
+    else:
+        own = getattr(valve, "ramp", 0.0)
+        ramps = [(path.opening, own) for path in machine.flow_paths if path.valve == 0]
+    ramps_on, ramps_off = (max([ramp for way, ramp in ramps if way == phase], default=0.0) for phase in ("on", "off"))
+    # A ramp up and one down, and between them as much as any pulse has to last.
+    return ramps_on / math.pi + LEAST_WIDTH, ramps_off / math.pi + LEAST_WIDTH
+
+
+def drawn_in(machine: Machine, pair: Bounds) -> Bounds:
+    """Return the bounds of the duty, no wider than where the valve opens and shuts fully.
+
+    Raises
+    ------
+    ValueError
+        It does so at none of these duties.
+    """
+    least_on, least_off = least_shares(machine)
+    if max(least_on, least_off) <= LEAST_WIDTH:
+        return pair
+    low, high = max(pair[0], least_on), min(pair[1], 1 - least_off)
+    if low >= high:
+        raise ValueError(
+            f"variables: found bounds {pair[0]:g} to {pair[1]:g} of 'duty', at which the valve's ramps meet: it does "
+            f"not open and shut fully; expected some of {least_on:.4g} to {1 - least_off:.4g}"
+        )
+    return low, high
 
 
 def default_variables(machine: Machine) -> dict[str, Bounds]:
@@ -30,7 +67,8 @@ def default_variables(machine: Machine) -> dict[str, Bounds]:
             "command, as 'valve.command.openings.0', or other numbers of the machine"
         )
     if len(edges) == 2:
-        return {"duty": (0.02, 0.98)}
+        least_on, least_off = least_shares(machine)
+        return {"duty": (max(0.02, least_on), min(0.98, 1 - least_off))}
     first = float(edges[0])
     names = [f"{'off' if i % 2 else 'on'}_{i // 2 + 1}" for i in range(1, len(edges))]
     return dict.fromkeys(names, (first, first + 2 * math.pi))
@@ -108,10 +146,12 @@ def pulse_limits(
     least_on, least_off = (
         cp.maximum(time * frequency, LEAST_WIDTH) for time in (shortest_on - valve.lag, shortest_off + valve.lag)
     )
+    # What moves also keeps its ramps apart.
+    fully_on, fully_off = least_shares(machine)
     if "duty" in variables:
         return {
-            "shortest pulse": variables["duty"] >= least_on,
-            "shortest pause": 1 - variables["duty"] >= least_off,
+            "shortest pulse": variables["duty"] >= cp.maximum(least_on, fully_on),
+            "shortest pause": 1 - variables["duty"] >= cp.maximum(least_off, fully_off),
         }
     edges: list[Any] = [
         variables.get(f"{'off' if i % 2 else 'on'}_{i // 2 + 1}", cp.Constant(float(edge)))
@@ -129,7 +169,10 @@ def pulse_limits(
             break
         width, least = after - before, (least_off if i % 2 else least_on) * (2 * math.pi)
         name = f"shortest {'pause' if i % 2 else 'pulse'} {i // 2 + 1}"
-        if width.variables() or least.variables():
+        if width.variables():
+            found[name] = width >= cp.maximum(least, (fully_off if i % 2 else fully_on) * (2 * math.pi))
+            continue
+        if least.variables():
             found[name] = width >= least
             continue
         open_for, asked = float(np.asarray(width.value)), float(np.asarray(least.value))

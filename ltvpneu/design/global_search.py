@@ -142,6 +142,7 @@ class _Tree:
             self._keep(Box(centres[place], np.full(p, 0.5 / parts), values, slopes, curvature), figures)
 
     def _keep(self, box: Box, figures: Any) -> None:
+        self.search.note(box.centre, figures)
         self.tries.append((self.search.subproblem.merit(box.centre, figures, FIRST_PENALTY)[0], box.centre))
         heapq.heappush(self.heap, (self._relaxation.bound(box), next(self._count), box))
 
@@ -174,7 +175,8 @@ def _looked_at(search: Search, setting: FloatArray) -> tuple[FloatArray, FloatAr
         return None
     try:
         return (*stacked(figures, setting.size), figures)
-    except (LtvpneuError, ValueError):
+    except (LtvpneuError, ValueError) as error:
+        search.reason = error
         return None
 
 

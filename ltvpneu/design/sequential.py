@@ -134,7 +134,7 @@ def feel_about(search: Search, found: Found, tolerance: float) -> Found:
             if there is None:
                 continue
             new = sub.merit(tried, there, penalty)[0]
-            if new < merit:
+            if new < merit and search.has_slopes(there):
                 found.merits.append((merit, new))
                 setting, figures, merit, moved = tried, there, new, True
         length *= 1.0 if moved else 0.5
@@ -153,7 +153,7 @@ def converge(
     """Go from a setting to a local optimum."""
     sub = search.subproblem
     begin = _projected(sub.task, begin)
-    figures = search.figures(begin)
+    figures = search.with_slopes(begin)
     if figures is None:
         assert search.reason is not None
         raise search.reason
@@ -234,8 +234,13 @@ class _State:
             if not (foretold <= ROUNDING and abs(fall) <= ROUNDING):
                 return False
             # Below what the cycle is computed to, the residual decides.
-            if self._residual(setting, figures)[0] >= self.found.residual:
+            if not self.search.has_slopes(figures) or self._residual(setting, figures)[0] >= self.found.residual:
                 return False
+        if not self.search.has_slopes(figures):
+            # Better, but from where ramps meet or edges change their order: no way on from there.
+            self.beside.pop()
+            self.blocked = True
+            return False
         if fall > 0.7 * foretold and float(np.max(np.abs(answer.step))) > 0.9 * self.radius:
             self.radius = min(2 * self.radius, LARGEST_RADIUS)
         linear = stacked(figures, setting.size)

@@ -57,6 +57,18 @@ def best_starts(search: Search, own: FloatArray, count: int, progress: Progress 
     return [looks[i].setting for i in chosen]
 
 
+def starts_with_slopes(search: Search) -> list[FloatArray]:
+    """Return a few of the settings looked at from which a search can begin, those that break the constraints least.
+
+    For where the best of them have no slopes, as where a valve's ramps meet.
+    """
+    chosen: list[FloatArray] = []
+    for one in sorted(search.noted, key=search.subproblem.distance):
+        if len(chosen) < STARTS_EACH and search.with_slopes(one.setting) is not None:
+            chosen.append(one.setting)
+    return chosen
+
+
 class _Look(NamedTuple):
     """What a setting looks like; infinite merits and no values where it has no cycle."""
 
@@ -76,6 +88,7 @@ def _look(search: Search, setting: FloatArray) -> _Look:
     except (LtvpneuError, ValueError):
         # No derivatives, as where switching instants change their order.
         return nothing
+    search.note(setting, figures)
     merits = tuple(sub.merit(setting, figures, penalty)[0] for penalty in RANKED_BY)
     return _Look(setting, merits, np.concatenate([one.values for one in figures]) if figures else np.zeros(1))
 

@@ -6,9 +6,9 @@ much they change over the bounds of the settings.
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, cast, final
+from typing import Any, NamedTuple, cast, final
 
 import cvxpy as cp
 import numpy as np
@@ -159,6 +159,38 @@ class Subproblem:
             self._sizes[name] = max(self._size(cast(Any, constraint).expr, slopes), 1e-300)
         self._build()
 
+    @property
+    def sizes(self) -> dict[str, float]:
+        """By what each constraint's violation is divided, in its own unit."""
+        return {name: size for name, size in self._sizes.items() if name}
+
+    def measure_by(self, sizes: Mapping[str, float]) -> None:
+        """Divide the constraints' violations by other sizes from now on, each in the constraint's own unit."""
+        self._sizes = {"": self._sizes[""], **sizes}
+        self._build()
+
+    def differences(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> dict[str, FloatArray]:
+        """Return what the sides of each constraint differ by, left less right, in its own unit: (n_rows,)."""
+        self.put(setting, figures)
+        return {
+            name: np.ravel(np.asarray(cast(Any, constraint).expr.value, dtype=np.float64))
+            for name, constraint in self.task.constraints.items()
+        }
+
+    def magnitudes(self) -> dict[str, float]:
+        """Return the larger of each constraint's sides, of what was put last, in its own unit."""
+        return {
+            name: max(float(np.max(np.abs(_array(side)), initial=0.0)) for side in cast(Any, constraint).args)
+            for name, constraint in self.task.constraints.items()
+        }
+
+    def distance(self, noted: "Noted") -> float:
+        """Return the sum of the scaled violations at a setting looked at."""
+        return sum(
+            float(np.sum(np.abs(rows) if name in noted.equations else np.maximum(rows, 0.0))) / self._sizes[name]
+            for name, rows in noted.differences.items()
+        )
+
     def _size(self, expression: Any, slopes: FloatArray) -> float:
         """Return how much an expression changes over the bounds of the settings, by its slopes; else its value."""
         blocks, setting = self.task.blocks, np.asarray(self.task.setting.value, dtype=np.float64)
@@ -274,6 +306,16 @@ class Subproblem:
         return {name: float(np.sum(dual)) * size / self._sizes[name] for name, dual in duals.items()}
 
 
+class Noted(NamedTuple):
+    """What the constraints are at a setting looked at."""
+
+    setting: FloatArray
+    differences: dict[str, FloatArray]
+    """What the sides of each differ by, left less right: (n_rows,)."""
+    equations: frozenset[str]
+    """Names of those that are equations."""
+
+
 @final
 @dataclass(eq=False, kw_only=True)
 class Search:
@@ -286,6 +328,29 @@ class Search:
     n_failed: int = 0
     reason: LtvpneuError | ValueError | None = None
     """Why the last setting without a cycle has none."""
+    noted: list[Noted] = field(default_factory=list[Noted])
+    """The settings looked at before the search."""
+
+    def note(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> None:
+        """Remember what the constraints are at a setting looked at."""
+        constraints = self.subproblem.task.constraints
+        equations = frozenset(name for name, one in constraints.items() if isinstance(one, Equality))
+        self.noted.append(Noted(setting, self.subproblem.differences(setting, figures), equations))
+
+    def with_slopes(self, setting: FloatArray) -> list[BlockFigures] | None:
+        """Return the figures at a setting; None where a model has no cycle there, or its figures no slopes."""
+        found = self.figures(setting)
+        return found if found is not None and self.has_slopes(found) else None
+
+    def has_slopes(self, figures: Sequence[BlockFigures]) -> bool:
+        """Whether the figures have slopes: not where switching instants change their order, or ramps meet."""
+        try:
+            stacked(figures, self.subproblem.n_variables)
+        except (LtvpneuError, ValueError) as error:
+            self.n_failed += 1
+            self.reason = error
+            return False
+        return True
 
     def figures(self, setting: FloatArray) -> list[BlockFigures] | None:
         """Return the figures at a setting; None where a model has no cycle there."""
