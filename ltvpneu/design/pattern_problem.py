@@ -10,7 +10,8 @@ so means over a slot and the flow from the supply are linear, and HiGHS solves f
 it.
 """
 
-from typing import Any, NamedTuple, cast
+import math
+from typing import Any, Literal, NamedTuple, cast
 
 import cvxpy as cp
 import numpy as np
@@ -25,6 +26,21 @@ from ltvpneu.models.machine import Machine
 OBJECTIVES = ("amplitude", "mean_error", "air_use", "switching")
 RELATIVE_GAP = 1e-9
 """Asked of HiGHS."""
+
+
+class Goal(NamedTuple):
+    """What one state's mean or amplitude has to be."""
+
+    name: str
+    kind: Literal["mean", "amplitude"]
+    state: str
+    low: float
+    """-inf where there is no lower bound."""
+    high: float
+
+    def missed_by(self, figure: float) -> float:
+        """Return by how much a figure is outside the bounds."""
+        return max(self.low - figure, figure - self.high, 0.0)
 
 
 class Asked:
@@ -53,6 +69,15 @@ class Asked:
         self.amplitude = {name: finite(f"amplitude[{name!r}]", most) for name, most in amplitude.items()}
         self.n_pulses = None if n_pulses is None else whole("n_pulses", n_pulses)
         self.shortest = whole("shortest_off", shortest[1]), whole("shortest_on", shortest[0])
+        self.wanted_means = [
+            Goal(f"mean {name}", "mean", name, -math.inf if low is None else low, math.inf if high is None else high)
+            for name, (low, high) in self.mean.items()
+        ]
+        amplitudes = [
+            Goal(f"amplitude {name}", "amplitude", name, -math.inf, most) for name, most in self.amplitude.items()
+        ]
+        # Where means are what is made small, they are no goals that could be broken.
+        self.goals = amplitudes if minimize == "mean_error" else [*self.wanted_means, *amplitudes]
         if sum(self.shortest) > n_slots:
             raise ValueError(
                 f"shortest_on, shortest_off: found {shortest[0]} and {shortest[1]} slots, more than n_slots = {n_slots}"

@@ -149,3 +149,23 @@ def points_of(machine: Machine, system: PeriodicSystem, pattern: BoolArray, befo
             points[row] = means[chosen].mean(axis=0)
     points[:, 0] = means[:, 0].mean()
     return _held(machine, points)
+
+
+def with_pattern(machine: Machine, pattern: BoolArray) -> Machine:
+    """Return the machine with its valve on in those slots of the turn."""
+    N = pattern.size
+    if pattern.all() or not pattern.any():
+        return machine.with_duty(float(pattern.all()))
+    starts = np.flatnonzero(pattern & ~np.roll(pattern, 1))
+    ends = np.flatnonzero(~pattern & np.roll(pattern, 1))
+    pulses: list[tuple[float, float]] = []
+    for start in starts.tolist():
+        after = ends[ends > start]
+        end = int(after[0]) if after.size else int(ends[0]) + N
+        pulses.append((start * 2 * np.pi / N, end * 2 * np.pi / N))
+    return machine.with_pulses(pulses)
+
+
+def count_pulses(pattern: BoolArray) -> int:
+    """Return how often the valve goes on in a period."""
+    return int(np.sum(pattern & ~np.roll(pattern, 1)))
