@@ -18,8 +18,9 @@ class DutySolution(Value):
     status: str
     """Of the model that was designed on; whether the nonlinear machine keeps the goals, `broken` says. "optimal":
     stationary, all constraints kept. "infeasible": no setting that was found keeps them; this is the nearest, by what
-    each goal ranges over, goals that some setting keeps by itself first. "edge": better settings next to this one have
-    no cycle, as where stiction locks. "stopped": out of iterations, or where the residual stays large."""
+    each goal ranges over, those that some setting keeps by itself first, equations before bounds. "edge": better
+    settings next to this one have no cycle, as where stiction locks. "stopped": out of iterations, or where the
+    residual stays large."""
     values: dict[str, float]
     """Of the variables."""
     objective: float

@@ -1,8 +1,8 @@
 """Where no setting keeps all goals: the setting that breaks the fewest, and those by the least.
 
 How much a goal is broken counts by what it ranges over on the settings that were looked at, so goals of different units
-compare. Goals that some setting keeps by itself come first: each of them counts `FIRST` times as much as one that none
-keeps, so that what can be met is met, and what cannot comes as near as the others leave it.
+compare. Goals that some setting keeps by itself come first, equations before bounds: so what can be met is met, say a
+wanted mean, and the others come as near as that leaves them.
 """
 
 import numpy as np
@@ -13,8 +13,8 @@ from ltvpneu.design.starts import Progress
 from ltvpneu.design.subproblem import Noted, Search
 from ltvpneu.errors import LtvpneuError
 
-FIRST = 1e3
-"""By what a goal that some setting keeps by itself counts more than one that none keeps [-]."""
+FIRST, SECOND = 1e3, 30.0
+"""By what an equation, and a bound, that some setting keeps by itself count more than a goal that none keeps [-]."""
 STARTS = 2
 """Settings from which the nearest one is looked for, beside the one found before."""
 
@@ -25,9 +25,8 @@ def nearest(search: Search, found: Found, tolerance: float, max_iterations: int,
     if not noted or sub.merit(found.setting, found.figures, 0.0)[1] <= max(FEASIBLE, tolerance):
         return found
     ranges = ranges_of(noted)
-    alone = [name for name in ranges if _some_setting_keeps(noted, name)]
     before = sub.sizes
-    sub.measure_by({name: range_ / (FIRST if name in alone else 1.0) for name, range_ in ranges.items()})
+    sub.measure_by({name: range_ / _weight(noted, name) for name, range_ in ranges.items()})
     try:
         other = best_from(search, _starts(search, found), tolerance, max_iterations, progress)
     except (LtvpneuError, ValueError):
@@ -51,12 +50,15 @@ def ranges_of(noted: list[Noted]) -> dict[str, float]:
     return found
 
 
-def _some_setting_keeps(noted: list[Noted], name: str) -> bool:
-    """Whether a constraint alone could be kept: an inequality at a setting, an equation where its sides cross."""
+def _weight(noted: list[Noted], name: str) -> float:
+    """Return what a constraint counts: more if it could be kept by itself.
+
+    An inequality where some setting keeps it, an equation where its sides cross between settings.
+    """
     table = np.array([one.differences[name] for one in noted])
     if name in noted[0].equations:
-        return bool(((table.min(axis=0) <= 0) & (table.max(axis=0) >= 0)).all())
-    return bool((table <= 0).all(axis=1).any())
+        return FIRST if ((table.min(axis=0) <= 0) & (table.max(axis=0) >= 0)).all() else 1.0
+    return SECOND if (table <= 0).all(axis=1).any() else 1.0
 
 
 def _starts(search: Search, found: Found) -> list[FloatArray]:

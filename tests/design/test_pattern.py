@@ -158,8 +158,8 @@ def test_of_few_slots_the_answer_is_the_best_of_all_on_the_machine(machine, n_sl
     assert found.nonlinear_value == pytest.approx(best, rel=1e-6)
 
 
-@pytest.mark.parametrize("n_slots", [8, 16])
-@pytest.mark.parametrize("mean", [(0.04, 0.05), (0.0449, 0.0451), (0.058, 0.059)])
+@pytest.mark.parametrize("n_slots", [8, 14])
+@pytest.mark.parametrize("mean", [(0.04, 0.05), (0.0449, 0.0451)])
 @pytest.mark.parametrize("correct", [True, False])
 def test_a_pattern_is_never_optimal_where_the_machine_breaks_a_goal(machine, n_slots, mean, correct):
     found = design.optimize_pattern(machine, 4.0, n_slots, mean={"position": mean}, n_pulses=2, correct=correct)
