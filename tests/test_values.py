@@ -68,7 +68,7 @@ SAMPLES: dict[str, Callable[[], Any]] = {
     "DutySolution": optimum,
     "EnergyBalance": lp.EnergyBalance,
     "ErrorEstimate": lambda: lp.ltv_model(MACHINE, 15.0).error_estimate,
-    "Estimator": lambda: lp.kalman(lp.ltv_model(MACHINE, 15.0).system, np.eye(4), np.eye(3)),
+    "Estimator": lambda: lp.kalman(lp.ltv_model(MACHINE, 15.0).system, np.eye(3), np.eye(3)),
     "FailedPoint": lambda: lp.amplitude_response(sprung_less(), [5.0]).failures[0],
     "Floquet": lambda: lp.orbit_floquet(MACHINE, lp.nonlinear_orbit(MACHINE, 8.0)),
     "FlowPath": lambda: DRIVE.flow_paths[0],
@@ -106,7 +106,7 @@ SAMPLES: dict[str, Callable[[], Any]] = {
     "StictionBand": lambda: lp.stiction_band(MACHINE.with_duty(0.7), 20.0),
     "ValidityMap": lambda: lp.validity_map(MACHINE, [0.5], [8.0]),
     "ValveLimits": lambda: design.ValveLimits(opening_delay=1e-3),
-    "Variation": lambda: lp.sensitivity(lp.ltv_model(MACHINE, 15.0).system).of_log_multiplier(0),
+    "Variation": lambda: lp.sensitivity(lp.ltv_model(MACHINE, 15.0).system).along(A=np.ones((2, 3, 3))),
     "Window": lambda: MACHINE.valve.on_window(),
 }
 

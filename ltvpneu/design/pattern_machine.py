@@ -98,7 +98,7 @@ class PatternsOnMachine:
             orbit = nonlinear_orbit(machine, self.frequency)
         except LtvpneuError as error:
             return self._without_cycle(pattern, str(error))
-        if not orbit.is_unique:
+        if not orbit.is_isolated:
             # Where stiction holds it, its place is no figure of the pattern.
             return self._without_cycle(pattern, orbit)
         figures = {goal.name: getattr(orbit, goal.kind)(goal.state) for goal in goals}

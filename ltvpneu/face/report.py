@@ -292,7 +292,7 @@ def remarks(orbit: Orbit, machine: Machine, band: StictionBand | None = None) ->
     found: list[str] = []
     if not orbit.is_isolated:
         within = f", {1e3 * band.lowest:.2f} to {1e3 * band.highest:.2f} mm" if band else ""
-        found.append(f"{orbit.rest or 'one of a stiction band'}{within}")
+        found += [*([orbit.rest] if orbit.rest else []), f"one of a stiction band{within}"]
     elif orbit.rest:
         found.append(orbit.rest)
     if orbit.n_periods > 1:
@@ -303,7 +303,7 @@ def remarks(orbit: Orbit, machine: Machine, band: StictionBand | None = None) ->
     if low < lower - tolerance or high > upper + tolerance:
         found.append("passes the end stops")
     elif not orbit.rest and (low <= lower + tolerance or high >= upper - tolerance):
-        found.append("reaches an end stop")
+        found.append("rests on an end stop for a while")
     lowest = machine.gas.vapor_pressure if isinstance(machine.gas, Liquid) else 0.0
     for name in machine.states[2 : 2 + machine.n_volumes]:
         if orbit.minimum(name) <= 0:

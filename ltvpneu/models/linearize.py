@@ -30,6 +30,8 @@ from ltvpneu.physics.medium import in_range
 from ltvpneu.physics.properties import IDEAL
 
 Tangent = Literal["paper", "full"]
+WELL_BEYOND = 0.1
+"""Share of the stroke, or of the dead length if that is less, by which a mean lies well beyond a stop [-]."""
 
 
 @final
@@ -265,9 +267,10 @@ class LtvModel(Value):
 
 
 def warn_outside(model: LtvModel) -> LtvModel:
-    """Return a model, with a warning if even the mean of its cycle lies beyond an end stop: no machine is there."""
-    cylinder = model.machine.cylinder
-    if model.beyond_stops > 0 and not cylinder.lower_stop <= model.orbit.mean(0) <= cylinder.upper_stop:
+    """Return a model, with a warning if even the mean of its cycle lies well beyond an end stop: no machine is there."""
+    low, high = model.machine.cylinder.lower_stop, model.machine.cylinder.upper_stop
+    reach = WELL_BEYOND * min(high - low, float(model.machine.state_scales[0]))
+    if model.beyond_stops > reach and not low - reach <= model.orbit.mean(0) <= high + reach:
         warnings.warn(
             f"the cycle of the linear model lies beyond the cylinder's end stops, of which operating points "
             f'{model.mode!r} know nothing (model.beyond_stops says by how far); take operating_points="fitted"',

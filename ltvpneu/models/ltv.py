@@ -86,7 +86,7 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     LtvModel
         Dry friction, stiction and end stops are neglected, as in the paper's section 6, but in "fitted" and
         "self-consistent" models. `.error_estimate` says how far off it is, `.beyond_stops` how far it passes a stop;
-        where even its mean lies beyond one, a `UserWarning` says so.
+        where even its mean lies well beyond one, a `UserWarning` says so.
 
     Raises
     ------

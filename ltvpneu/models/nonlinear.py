@@ -69,9 +69,9 @@ class RungeKutta4(Value):
 
 Method = DormandPrince | RungeKutta4
 
-# Pressures need not be right to less than 1e-7 of the supply; where they meet the slope of the flow is infinite,
-# and steps that resolve smaller differences multiply without use.
-LEAST_PRESSURE_TOLERANCE = 1e-7
+# Where pressures meet the slope of the flow is infinite, and steps that resolve small differences multiply: of an orbit
+# pressures need not be right to less than 1e-7 of the supply. What is differenced is asked for more tightly, and gets it.
+LEAST_PRESSURE_TOLERANCE, TIGHTER = 1e-7, 10.0
 
 REPEATS = 1e3
 """How well an orbit of several periods repeats once more at least, over the tolerance [-]."""
@@ -274,7 +274,7 @@ def integration_settings(machine: Machine, rtol: float) -> Settings:
     scales = machine.state_scales
     atol = rtol * scales
     pressures = slice(2, 2 + machine.n_volumes)
-    atol[pressures] = max(rtol, LEAST_PRESSURE_TOLERANCE) * scales[pressures]
+    atol[pressures] = max(rtol, min(LEAST_PRESSURE_TOLERANCE, TIGHTER * rtol)) * scales[pressures]
     return Settings(float(rtol), atol, 0.0, MAX_STEPS)
 
 

@@ -162,7 +162,7 @@ def _raise_singular(system: PeriodicSystem, one: Reduced, null: _Null) -> None:
     )
     raise NonUniqueOrbitError(
         f"The periodic equation is singular to {gap:.1e}: a Floquet multiplier equals one, so the orbit is not unique. "
-        f"Free direction, in scaled states: {shown}. A state that nothing brings back does that, such as the position "
+        f"Free direction: {shown} (in scaled states). A state that nothing brings back does that, such as the position "
         "of a piston without a spring; the orbit nearest the origin is in .least_norm.",
         least_norm=least_norm,
         free_directions=directions,

@@ -129,7 +129,7 @@ def best_on_the_machine(machine, n_slots, measure, kept):
         if np.array_equal(pattern, turned_first(pattern)):
             one = with_pattern(machine, pattern)
             orbit = lp.nonlinear_orbit(one, 4.0)
-            best = min(best, measure(one, orbit)) if orbit.is_unique and kept(orbit) else best
+            best = min(best, measure(one, orbit)) if orbit.is_isolated and kept(orbit) else best
     return best
 
 

@@ -5,12 +5,14 @@ import re
 import subprocess
 import sys
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import ltvpneu as lp
+from ltvpneu import design
 from ltvpneu.face import study_design
 from ltvpneu.face.cli import main
 from ltvpneu.face.report import remarks
@@ -162,9 +164,10 @@ def test_bad_limits_of_a_sweep_exit_2(arguments, match, tmp_path, capsys):
     assert match in capsys.readouterr().err
 
 
-def test_a_springless_machine_has_no_verdict_but_an_explanation(tmp_path, capsys):
+def test_a_springless_machine_has_no_verdict_by_the_papers_points_but_an_explanation(tmp_path, capsys):
     (tmp_path / "rig.toml").write_text(SPRINGLESS)
-    assert main(["stability", str(tmp_path / "rig.toml"), "--frequency", "4"]) == 2
+    arguments = ["stability", str(tmp_path / "rig.toml"), "--frequency", "4", "--operating-points", "lti"]
+    assert main(arguments) == 2
     assert capsys.readouterr().err.startswith("ltvpneu stability: error: rig.toml: load.spring_stiffness: found none")
 
 
@@ -182,6 +185,49 @@ def test_bad_input_to_the_study_exits_2_and_writes_nothing(arguments, match, tmp
     assert main(arguments) == 2
     assert match in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+FREE, SPRING_RETURN = (Path(__file__).parents[1] / "reference" / "machines" / name for name in (
+    "free_cylinder.toml", "spring_return.toml",
+))  # fmt: skip
+
+
+def test_stability_goes_by_points_that_see_friction_and_stops(capsys):
+    assert main(["stability", "kunt_singh_1990", "--frequency", "20", "--duty", "0.7"]) == 1
+    assert re.search(r"20 +0.7 .* marginal +held by stiction", capsys.readouterr().out)
+    assert main(["stability", str(SPRING_RETURN), "--frequency", "10"]) == 0
+    assert re.search(r"stable +rests on the upper stop, 25 mm", capsys.readouterr().out)
+    assert main(["stability", str(FREE), "--frequency", "20"]) == 0
+    printed = capsys.readouterr().out
+    assert "operating points 'fitted'" in printed
+    assert "depends on the start: also mean -45.9" in printed
+
+
+def test_a_sweep_says_where_the_start_decides_and_what_no_duty_holds(tmp_path, capsys):
+    limits = ["--frequency", "15", "20", "--duty", "0.3", "0.6", "--points", "3"]
+    assert main(["sweep", str(FREE), *limits, "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "depends on the start at 20 Hz, duty 0.45: " in printed
+    assert re.search(r"no duty holds a mean position between -4\d\.\d+ and 4\d", printed)
+    assert "Feedback holds it" in printed
+    data = json.loads((tmp_path / "sweep.json").read_text())
+    assert len(data["nonlinear"]["branches"][2][1]) == 2
+    assert data["nonlinear"]["kinds"][2][1] == "depends on the start"
+
+
+def test_pictures_of_a_free_cylinder_keep_its_branches_apart():
+    duties = design.duty_map(lp.load_machine(FREE), np.linspace(0.2, 0.8, 13), [20.0])
+    figure = lp.plot(duties)
+    upper = figure.axes[0]
+    line = upper.lines[0].get_ydata()
+    steps = np.abs(np.diff(line[np.isfinite(line)]))
+    assert np.isnan(line).any()
+    assert [text.get_text() for text in upper.get_legend().get_texts()][-1] == "depends on the start"
+    stars = upper.lines[1].get_ydata()
+    assert min(stars) < -45
+    assert max(stars) > 45
+    assert len(stars) == 2 * int(duties.orbits.depends_on_start.sum())
+    assert steps.size > 5
 
 
 def test_a_folder_that_cannot_be_made_is_found_out_before_the_work(tmp_path, capsys):

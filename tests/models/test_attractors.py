@@ -80,7 +80,7 @@ def test_the_starts_are_those_that_are_stated(free_cylinder, table_1):
 
 
 def test_given_starts_are_followed_and_checked(free_cylinder):
-    low = np.array([-0.05, 0.0, 1.013e5, 1.013e5])
+    low = np.array([-0.05, 0.0, free_cylinder.exhaust_pressure, free_cylinder.supply_pressure])
     found = lp.attractors(without_surroundings(free_cylinder), 20.0, [low])
     assert found.is_single
     assert found.reached.tolist() == [0]

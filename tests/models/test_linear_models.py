@@ -96,9 +96,9 @@ def test_a_response_from_rest_equals_solve_ivp_restarted_at_each_switch(table_1)
 
 
 def test_superposition_holds_in_the_physical_inputs(table_1):
-    """Isothermal, operating points frozen: the orbit is linear in the two pressures and the force."""
+    """Isothermal, operating points frozen: the orbit is linear in the three pressures and the force."""
     system = lp.ltv_model(table_1, 5.0).system
-    levels = np.array([4.1e5, 1e5, 1.0])
+    levels = np.array([4.1e5, 1e5, 1.0, 0.9e5])
     orbits = [lp.steady_state(system.with_levels(row)).initial_state for row in np.diag(levels)]
     whole = lp.steady_state(system.with_levels(levels)).initial_state
     np.testing.assert_allclose(sum(orbits), whole, rtol=1e-10)

@@ -300,7 +300,8 @@ def test_a_piston_pressed_on_a_stop_is_where_it_is():
 
 
 def test_multipliers_of_an_orbit_that_hits_its_stops_without_dry_friction():
-    machine = lp.load_machine("double_acting_5_2").without_dry_friction().with_duty(0.8)
+    # In a vacuum it flies: with the air on its rod it begins the period at rest on a stop, and there is no difference.
+    machine = replace(lp.load_machine("double_acting_5_2"), ambient_pressure=0.0).without_dry_friction().with_duty(0.8)
     orbit = lp.nonlinear_orbit(machine, 40.0, method=lp.DormandPrince(rtol=1e-11))
     found = lp.orbit_floquet(machine, orbit)
     scales = machine.state_scales
