@@ -267,7 +267,7 @@ class LtvModel(Value):
 
 
 def warn_outside(model: LtvModel) -> LtvModel:
-    """Return a model, with a warning if even the mean of its cycle lies well beyond an end stop: no machine is there."""
+    """Return a model, with a warning if even the mean of its cycle lies well beyond an end stop."""
     low, high = model.machine.cylinder.lower_stop, model.machine.cylinder.upper_stop
     reach = WELL_BEYOND * min(high - low, float(model.machine.state_scales[0]))
     if model.beyond_stops > reach and not low - reach <= model.orbit.mean(0) <= high + reach:

@@ -70,7 +70,7 @@ class RungeKutta4(Value):
 Method = DormandPrince | RungeKutta4
 
 # Where pressures meet the slope of the flow is infinite, and steps that resolve small differences multiply: of an orbit
-# pressures need not be right to less than 1e-7 of the supply. What is differenced is asked for more tightly, and gets it.
+# pressures need not be right to less than 1e-7 of the supply; what is differenced is asked for more tightly.
 LEAST_PRESSURE_TOLERANCE, TIGHTER = 1e-7, 10.0
 
 REPEATS = 1e3
