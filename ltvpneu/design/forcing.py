@@ -177,7 +177,7 @@ def forcing_problem(
     system : PeriodicSystem or LtvModel
         Of a model, the output "air_use" is among the signals [kg/s].
     free : sequence of str, optional
-        Inputs that are variables; by default all, of a machine all but the ambient pressure.
+        Inputs that are variables; by default all but the ambient pressure, which is nobody's choice.
     per_step : sequence of str
         Those of the free inputs that have one value a step instead of one for all.
     given : mapping of str to number or cvxpy.Expression, optional
@@ -214,8 +214,8 @@ def forcing_problem(
         system = with_air_use(system)
     expect_system(system)
     given = {} if given is None else given
-    weather = ("ambient_pressure",) if of_machine else ()
-    wanted = [name for name in system.inputs if name not in (*given, *weather)] if free is None else list(free)
+    chosen = [name for name in system.inputs if name not in given and name != "ambient_pressure"]
+    wanted = chosen if free is None else list(free)
     for what, names in (("free", wanted), ("per_step", list(per_step)), ("given", list(given))):
         for name in names:
             if name not in system.inputs:

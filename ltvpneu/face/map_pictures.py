@@ -9,7 +9,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ltvpneu.models.orbit_map import KINDS, OrbitMap
+from ltvpneu.models.orbit_map import KINDS, SAID, OrbitMap
 from ltvpneu.models.validity_map import ValidityMap
 
 PALETTE = mpl.color_sequences["petroff10"]
@@ -31,7 +31,7 @@ def draw_orbit_map(found: OrbitMap) -> Figure:
             float(found.frequencies[row]), float(found.duties[column]), label, ha="center", va="center", fontsize=7
         )
     handles = [
-        Patch(color=colour, label=f"{kind} ({found.count(kind)})")
+        Patch(color=colour, label=f"{SAID.get(kind, kind)} ({found.count(kind)})")
         for kind, colour in zip(KINDS, colours, strict=True)
         if found.count(kind)
     ]

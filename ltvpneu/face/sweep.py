@@ -77,7 +77,8 @@ def sweep_text(sweep: Sweep) -> str:
     errors = np.abs(validity.errors)
     total, known = errors.size, int(np.isfinite(errors).sum())
     model = f'LTV model, {validity.n_steps} steps, operating points "{validity.mode}"'
-    lines = [table(["nonlinear orbit", "points"], rows), "", f"{model}: estimated error of the amplitude"]
+    note = "  (unique: one orbit from all starts that were tried, at rest at the ends and spread over the stroke)"
+    lines = [table(["nonlinear orbit", "points"], rows), note, "", f"{model}: estimated error of the amplitude"]
     for limit in (0.01, 0.05, 0.2):
         lines.append(f"  at most {100 * limit:>2g} %: {int((errors <= limit).sum())} of {total} points")
     lines.append(f"  without a figure, the piston resting or no cycle found: {total - known}")

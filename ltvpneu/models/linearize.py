@@ -31,7 +31,7 @@ from ltvpneu.physics.properties import IDEAL
 
 Tangent = Literal["paper", "full"]
 WELL_BEYOND = 0.1
-"""Share of the stroke, or of the dead length if that is less, by which a mean lies well beyond a stop [-]."""
+"""Share of the stroke, or with one stop of the dead length, by which a mean lies well beyond a stop [-]."""
 
 
 @final
@@ -269,7 +269,7 @@ class LtvModel(Value):
 def warn_outside(model: LtvModel) -> LtvModel:
     """Return a model, with a warning if even the mean of its cycle lies well beyond an end stop."""
     low, high = model.machine.cylinder.lower_stop, model.machine.cylinder.upper_stop
-    reach = WELL_BEYOND * min(high - low, float(model.machine.state_scales[0]))
+    reach = WELL_BEYOND * (high - low if np.isfinite(high - low) else float(model.machine.state_scales[0]))
     if model.beyond_stops > reach and not low - reach <= model.orbit.mean(0) <= high + reach:
         warnings.warn(
             f"the cycle of the linear model lies beyond the cylinder's end stops, of which operating points "

@@ -32,6 +32,8 @@ KINDS = ("unique", "band", "subharmonic", "chaotic", DEPENDS, "failed")
 repeats; or several attractors; or no answer."""
 WIDE = 0.2
 """Share of the means' range from which on a gap between them counts as positions that no duty holds [-]."""
+SAID = {"unique": "one orbit from all starts", "band": "stiction band"}
+"""Kinds as readers are told them, where that is not by their names."""
 MAP_SPREAD = 6
 """Starts over the stroke and the pressures at each point of a map."""
 CHAOS_PERIODS = 1000

