@@ -82,7 +82,7 @@ def dense(system, signal, angles):
         moved = levels["supply_pressure"].copy()
         moved[k] += 1e4
         columns.append((at({**levels, "supply_pressure": moved}) - base) / 1e4)
-    assert m == 3
+    assert m == 4
     return base, np.array(columns).T
 
 
