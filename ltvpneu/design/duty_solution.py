@@ -2,9 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 from ltvpneu._values import Value
+from ltvpneu.models.attractors import Attractors, attractors
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.periodic.orbit import Orbit
@@ -79,6 +81,11 @@ class DutySolution(Value):
         broken = f"; the machine breaks {', '.join(self.broken)}" if self.broken else ""
         figures = f"objective {self.objective:.6g}, {shown}, residual {self.residual:.1e}"
         return f"<DutySolution: {self.status}, {figures}{broken}>"
+
+    @cached_property
+    def attractors(self) -> Attractors:
+        """What the nonlinear machine, as designed, settles on from different starts."""
+        return attractors(self.machine, self.frequency)
 
     @property
     def broken(self) -> tuple[str, ...]:

@@ -156,6 +156,8 @@ def optimum_text(found: "DutySolution") -> str:
     for name, one in columns:
         kink = ", on a kink of the model" if one.at_kink else ""
         parts.append(f"{name}: {said[one.status]} (residual {one.residual:.1e}{kink})")
+        if one.broken:
+            parts.append(f"  but the nonlinear machine breaks: {', '.join(one.broken)}")
     if found.not_corrected:
         parts.append(f"not corrected on the nonlinear model: {found.not_corrected}")
     if np.isposinf(found.lower_bound):
@@ -280,6 +282,7 @@ def optimum_data(found: "DutySolution") -> dict[str, Any]:
             "active": list(one.active),
             "missed_by": {name: known(value) for name, value in one.constraints.items()},
             "nonlinear_missed_by": {name: known(value) for name, value in one.nonlinear_constraints.items()},
+            "broken_on_the_machine": list(one.broken),
             "spectral_radius": known(one.spectral_radius),
             "nonlinear": cycles(one),
         }
