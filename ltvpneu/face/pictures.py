@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from ltvpneu._arrays import FloatArray
 from ltvpneu.face.map_pictures import draw_orbit_map, draw_validity_map
 from ltvpneu.models.amplitude import AmplitudeResponse
+from ltvpneu.models.attractors import Attractors, describe
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.orbit_map import OrbitMap
@@ -68,6 +69,8 @@ def draw(result: object) -> Figure:
         return draw_multipliers({"": result})
     if isinstance(result, Orbit):
         return draw_cycles({result.name: result}, title=_orbit_title(result))
+    if isinstance(result, Attractors):
+        return draw_attractors(result)
     if isinstance(result, AmplitudeResponse):
         return draw_amplitudes(result)
     if isinstance(result, ParameterSensitivity):
@@ -105,7 +108,7 @@ def _draw_by_itself(result: object) -> Figure:
     if not type(result).__module__.startswith("control") or method is None:
         raise TypeError(
             f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, "
-            "Orbit, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, DutyMap, ClosedLoop, "
+            "Orbit, Attractors, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, DutyMap, ClosedLoop, "
             "a dict of Orbit or of Floquet, or a response of python-control"
         )
     import matplotlib.pyplot as plt
@@ -179,7 +182,7 @@ def draw_cycles(orbits: Mapping[str, Orbit], title: str = "") -> Figure:
         for ax, signal in zip(axes, signals, strict=True):
             unit = unit_of(signal)
             style = STYLES.get(label.lower(), {"color": PALETTE[number % len(PALETTE)]})
-            shown = f"{label}{_rest(orbit)}"
+            shown = label if orbit.rest and orbit.rest in label else f"{label}{_rest(orbit)}"
             ax.plot(1e3 * times, unit.factor * values[orbit.signals.index(signal)], label=shown, **style)
     for ax, signal in zip(axes, signals, strict=True):
         symbol = unit_of(signal).symbol.replace("bar", "bar abs")
@@ -195,6 +198,19 @@ def draw_cycles(orbits: Mapping[str, Orbit], title: str = "") -> Figure:
     if title:
         figure.suptitle(title, fontsize=11)
     return figure
+
+
+def draw_attractors(found: Attractors) -> Figure:
+    """Every cycle that a machine settles on, with its share of the starts."""
+    if not found.orbits:
+        raise ValueError("plot: found attractors without an orbit, as no start led to one; look at .failures")
+    orbits = {
+        f"{100 * share:.0f} %: {describe(orbit)}": orbit
+        for share, orbit in zip(found.shares, found.orbits, strict=True)
+    }
+    return draw_cycles(
+        orbits, title=f"{found.machine.name} at {found.frequency:.4g} Hz, from {len(found.starts)} starts"
+    )
 
 
 def draw_amplitudes(found: AmplitudeResponse, frictionless: FloatArray | None = None) -> Figure:

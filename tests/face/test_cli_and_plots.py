@@ -215,6 +215,12 @@ def test_a_sweep_says_where_the_start_decides_and_what_no_duty_holds(tmp_path, c
     assert data["nonlinear"]["kinds"][2][1] == "depends on the start"
 
 
+def test_attractors_are_drawn_with_their_shares():
+    figure = lp.plot(lp.attractors(lp.load_machine(FREE), 20.0))
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert labels == ["90 %: rests on the upper stop, 50 mm", "10 %: mean -45.92 mm, amplitude 3.904 mm"]
+
+
 def test_pictures_of_a_free_cylinder_keep_its_branches_apart():
     duties = design.duty_map(lp.load_machine(FREE), np.linspace(0.2, 0.8, 13), [20.0])
     figure = lp.plot(duties)
