@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+S = TypeVar("S", bound=np.generic)
 
 
 def finite_array(
@@ -53,7 +55,7 @@ def finite_array(
     return array
 
 
-def read_only(array: NDArray[np.float64]) -> FloatArray:
+def read_only(array: NDArray[S]) -> NDArray[S]:
     """Return the same array, closed to writing."""
     array.setflags(write=False)
     return array

@@ -175,9 +175,9 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
         duties=duty_grid,
         box=box,
         certificate=certificate,
-        is_isolated=is_isolated,
-        depends_on_start=depends,
-        stays_in_box=stays,
+        is_isolated=read_only(is_isolated),
+        depends_on_start=read_only(depends),
+        stays_in_box=read_only(stays),
         failures=tuple(failures),
         **{name: read_only(values) for name, values in arrays.items()},
     )

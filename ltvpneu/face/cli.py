@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from ltvpneu.errors import LtvpneuError
+from ltvpneu.errors import LtvpneuError, NotConvergedError
 from ltvpneu.face.machine_file import bundled_machines, load_machine
 from ltvpneu.face.optimize import optimum_text, parse_request, run_request, write_optimum
 from ltvpneu.face.report import LABELS, depends, multipliers_text, remarks, study_text, table
@@ -21,8 +21,11 @@ from ltvpneu.face.study_data import study_data
 from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
 from ltvpneu.models.attractors import attractors
 from ltvpneu.models.cycle_floquet import cycle_floquet
-from ltvpneu.models.ltv import MODES, ltv_model
+from ltvpneu.models.ltv import MODES, OperatingPoints, ltv_model
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.nonlinear import nonlinear_orbit
+from ltvpneu.models.orbit_map import MAP_SPREAD
+from ltvpneu.models.variational import orbit_floquet
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.proportional import ProportionalValve
 
@@ -273,21 +276,38 @@ def _stability(options: argparse.Namespace) -> int:
     points = options.operating_points or ("self-consistent" if isinstance(machine.gas, Liquid) else "fitted")
     rows: list[list[str]] = []
     all_stable = True
-    for frequency in options.frequency:
-        model = ltv_model(machine, frequency, n_steps=options.n_steps, operating_points=points)
-        found = cycle_floquet(model)
-        all_stable = all_stable and found.is_stable
-        # A cycle may take several periods to repeat, and its steps are then those of all of them.
-        periods = 1 if model.own_cycle is None else model.own_cycle.n_periods
-        figures = [f"{found.spectral_radius:.6g}", f"{found.margin:.1e}", found.verdict]
-        counts = [f"{model.system.n_steps}", f"{periods}"]
-        said = [*remarks(model.orbit, machine), *depends(attractors(machine, frequency))]
-        place = [f"{frequency:g}", f"{machine.duty:.4g}"]
-        rows.append([*place, *counts, multipliers_text(found), *figures, ", ".join(said)])
+    with tqdm(total=len(options.frequency), desc="stability", unit="frequency", leave=False) as bar:
+        for frequency in options.frequency:
+            row, is_stable = _stability_row(machine, frequency, options.n_steps, points)
+            rows.append(row)
+            all_stable = all_stable and is_stable
+            bar.update(1)
     print(f"{machine.name}: LTV model, operating points {points!r}\n")
     header = ["frequency [Hz]", "duty", "steps", "periods", "multipliers", "radius", "computed to", "verdict", "remark"]
     print(table(header, rows))
     return STABLE if all_stable else NOT_STABLE
+
+
+def _stability_row(
+    machine: Machine, frequency: float, n_steps: int | None, points: OperatingPoints
+) -> tuple[list[str], bool]:
+    """Return a line of the table, and whether the verdict is stable; the nonlinear orbit's where no model is found."""
+    try:
+        model = ltv_model(machine, frequency, n_steps=n_steps, operating_points=points)
+        found, orbit, steps = cycle_floquet(model), model.orbit, f"{model.system.n_steps}"
+        # A cycle may take several periods to repeat, and its steps are then those of all of them.
+        periods, said = 1 if model.own_cycle is None else model.own_cycle.n_periods, list[str]()
+    except NotConvergedError:
+        orbit = nonlinear_orbit(machine, frequency)
+        found, steps, periods = orbit_floquet(machine, orbit), "-", orbit.n_periods
+        said = [f"of the nonlinear orbit, as no {points!r} model was found"]
+    said += [*remarks(orbit, machine), *depends(attractors(machine, frequency, n_spread=MAP_SPREAD))]
+    # No more digits than it is computed to.
+    share = found.margin / max(found.spectral_radius, found.margin)
+    digits = 6 if found.margin < 1e-6 else max(math.ceil(-math.log10(share)), 1)
+    place = [f"{frequency:g}", f"{machine.duty:.4g}", steps, f"{periods}"]
+    figures = [f"{found.spectral_radius:.{min(digits, 6)}g}", f"{found.margin:.1e}", found.verdict]
+    return [*place, multipliers_text(found), *figures, ", ".join(said)], found.is_stable
 
 
 def _make(folder: Path) -> None:

@@ -9,6 +9,7 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu.face.study import Case, Study
 from ltvpneu.models.attractors import Attractors, describe
 from ltvpneu.models.error_estimate import ErrorEstimate
+from ltvpneu.models.failed_point import FailedPoint
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.machine_arrays import CONDUCTANCE, WALL_TEMPERATURE, temperature_place
 from ltvpneu.models.stiction_band import StictionBand
@@ -17,6 +18,10 @@ from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.real_gas import RealGas
 
+MOST_PLACES = 3
+"""Points that a reason for failures names."""
+REST_OF = 1e4
+"""Ratio to the true amplitude from which on an estimated error says that the machine rests [-]."""
 LABELS = {"nonlinear": "nonlinear", "ltv": "LTV", "lti": "LTI"}
 
 
@@ -215,13 +220,20 @@ def stability_table(cases: Sequence[Case]) -> str:
             multipliers_text(found),
             f"{found.spectral_radius:.4g}",
             found.verdict,
-            "" if found.orbit is None else found.orbit.rest,
+            _stability_remark(case, name, found),
         ]
         for case in cases
         for name, found in case.floquets.items()
     ]
     text = table(["model", "multipliers", "radius", "verdict", "remark"], rows) if rows else "  no model to ask"
     return "\n".join([text, *failure_lines(cases)])
+
+
+def _stability_remark(case: Case, name: str, found: Floquet) -> str:
+    model = case.models.get(name)
+    if model is not None and model.beyond_stops > 0:
+        return f"passes the end stops by {1e3 * model.beyond_stops:.3g} mm"
+    return "" if found.orbit is None else found.orbit.rest
 
 
 def failure_lines(cases: Sequence[Case]) -> list[str]:
@@ -231,6 +243,18 @@ def failure_lines(cases: Sequence[Case]) -> list[str]:
         for name, why in case.failures.items():
             where.setdefault(why, []).append(f"{case.frequency:g} Hz {LABELS[name]}")
     return [f"  failed: {', '.join(places)}: {why}" for why, places in where.items()]
+
+
+def grouped_failures(failures: Sequence[FailedPoint]) -> list[str]:
+    """Return each reason why points of a map failed once, with how often and where first."""
+    where: dict[tuple[str, str], list[str]] = {}
+    for failed in failures:
+        where.setdefault((failed.model, str(failed.error)), []).append(failed.where)
+    lines: list[str] = []
+    for (model, why), places in where.items():
+        more = f" and {len(places) - MOST_PLACES} more points" if len(places) > MOST_PLACES else ""
+        lines.append(f"  failed: {model} at {'; '.join(places[:MOST_PLACES])}{more}: {why}")
+    return lines
 
 
 def multipliers_text(found: Floquet) -> str:
@@ -277,7 +301,7 @@ def _cycle_cells(orbit: Orbit, reference: Orbit | None, estimate: ErrorEstimate 
     if estimate is not None:
         # Relative to the estimated true amplitude, which is zero where stiction would hold the piston.
         relative, doubt = estimate.relative_amplitude("position"), "" if estimate.is_reliable else "?"
-        estimated = f"{100 * relative:+.1f} %{doubt}" if math.isfinite(relative) else f"rests{doubt}"
+        estimated = f"{100 * relative:+.1f} %{doubt}" if abs(relative) < REST_OF else f"rests{doubt}"
         estimated_shift = f"{1e3 * estimate.mean('position'):+.2f}{doubt}"
     if reference is not None and orbit is not reference:
         of_reference = reference.amplitude("position")
@@ -291,8 +315,8 @@ def remarks(orbit: Orbit, machine: Machine, band: StictionBand | None = None) ->
     """Return what is special about an orbit, and where a linear one leaves what the machine can do."""
     found: list[str] = []
     if not orbit.is_isolated:
-        within = f", {1e3 * band.lowest:.2f} to {1e3 * band.highest:.2f} mm" if band else ""
-        found += [*([orbit.rest] if orbit.rest else []), f"one of a stiction band{within}"]
+        within = f"one of a stiction band, {1e3 * band.lowest:.2f} to {1e3 * band.highest:.2f} mm" if band else ""
+        found += [text for text in (orbit.rest, within) if text] or ["one of a stiction band"]
     elif orbit.rest:
         found.append(orbit.rest)
     if orbit.n_periods > 1:

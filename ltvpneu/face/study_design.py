@@ -10,7 +10,7 @@ from ltvpneu._values import Value
 from ltvpneu.design import DutyMap, DutySolution, StabilityMap, duty_map, optimize_duty, stability_map
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.optimize import optimum_data, optimum_text
-from ltvpneu.face.report import heading, table
+from ltvpneu.face.report import grouped_failures, heading, table
 from ltvpneu.face.study_data import failure_data, plain
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.orbit_map import DEPENDS
@@ -122,7 +122,9 @@ def duty_table(found: DutyMap) -> str:
         for row in range(orbits.frequencies.size):
             shown = f"{1e3 * found.means[row, column]:.2f} / {1e3 * found.amplitudes[row, column]:.2f}"
             kind = orbits.kinds[row][column]
-            means = " or ".join(f"{1e3 * branch.mean:.2f}" for branch in orbits.branches[row][column])
+            branches = orbits.branches[row][column]
+            lost = ["what does not repeat"] if len(branches) < 2 else []
+            means = " or ".join([*(f"{1e3 * branch.mean:.2f}" for branch in branches), *lost])
             named = {"band": f"({shown})", "chaotic": "chaotic", "failed": "failed", DEPENDS: f"{means} *"}
             cells.append(named.get(kind, shown))
         rows.append([f"{duty:.2f}", *cells])
@@ -162,7 +164,7 @@ def stability_text(found: StabilityMap) -> str:
             f"{int(found.is_certified.sum())} points;",
             f"  at {int((found.is_certified & found.stays_in_box).sum())} the machine's whole cycle stays in the box.",
         ]
-    lines += sorted({f"  failed: {f.where} {f.model}: {f.error}" for f in found.failures})
+    lines += grouped_failures(found.failures)
     return "\n".join(lines)
 
 

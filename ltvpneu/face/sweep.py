@@ -10,7 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ltvpneu._values import Value
-from ltvpneu.face.report import table
+from ltvpneu.face.report import grouped_failures, table
 from ltvpneu.face.study_data import failure_data, plain
 from ltvpneu.models.ltv import OperatingPoints
 from ltvpneu.models.machine import Machine
@@ -83,8 +83,7 @@ def sweep_text(sweep: Sweep) -> str:
         lines.append(f"  at most {100 * limit:>2g} %: {int((errors <= limit).sum())} of {total} points")
     lines.append(f"  without a figure, the piston resting or no cycle found: {total - known}")
     lines += _dependent_points(orbits)
-    for failure in (*orbits.failures, *validity.failures):
-        lines.append(f"  {failure.model} at {failure.where}: {failure.error}")
+    lines += grouped_failures([*orbits.failures, *validity.failures])
     return "\n".join(lines)
 
 
@@ -93,7 +92,9 @@ def _dependent_points(orbits: OrbitMap) -> list[str]:
     lines: list[str] = []
     points = np.argwhere(orbits.depends_on_start)
     for row, column in points[:MOST_SHOWN]:
-        found = " or ".join(_branch_text(branch) for branch in orbits.branches[row][column])
+        branches = orbits.branches[row][column]
+        lost = ["what does not repeat"] if len(branches) < 2 else []
+        found = " or ".join([*(_branch_text(branch) for branch in branches), *lost])
         where = f"{orbits.frequencies[row]:g} Hz, duty {orbits.duties[column]:g}"
         lines.append(f"  depends on the start at {where}: {found}")
     if len(points) > MOST_SHOWN:

@@ -8,6 +8,7 @@ whose basin no start lies in is not found, so the starts are part of the answer.
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
@@ -35,7 +36,12 @@ SAME = 3e-3
 """Scaled distance within which two orbits are one, or two places of rest in one band [-]."""
 LOOSE, LOOSE_RTOL = 1e-4, 1e-5
 """Tolerances with which a start is followed to an orbit that is known already [-]."""
-LOOSE_PERIODS = 1000
+LOOSE_PERIODS = 0.2
+"""Periods that are simulated from starts but the first, over `max_periods` [-]."""
+BETWEEN = 1000
+"""Periods within which a piston set between two places of rest has to be at rest."""
+CREEPS = 1e-5
+"""Scaled change over a period up to which a state that has not settled is slow, and no orbit of its own [-]."""
 
 
 @final
@@ -66,7 +72,8 @@ class Attractors(Value):
         parts = ", ".join(
             f"{100 * share:.0f} % to {describe(orbit)}" for share, orbit in zip(self.shares, self.orbits, strict=True)
         )
-        return f"<Attractors of {self.machine.name} at {self.frequency:g} Hz, {len(self.starts)} starts: {parts}>"
+        lost = f", {len(self.failures)} starts to none (see .failures)" if self.failures else ""
+        return f"<Attractors of {self.machine.name} at {self.frequency:g} Hz, {len(self.starts)} starts: {parts}{lost}>"
 
     @property
     def shares(self) -> FloatArray:
@@ -77,10 +84,15 @@ class Attractors(Value):
     def is_single(self) -> bool:
         """Whether all starts led to one orbit or band.
 
-        A start that never repeats counts as another; one from which the machine leaves what its equations describe, as
-        a chamber swept empty, does not count.
+        A start that never repeats counts as another. One that is only slow, still on its way after `max_periods`, does
+        not count, nor one from which the machine leaves what its equations describe, as a chamber swept empty.
         """
-        return len(self.orbits) == 1 and not any(isinstance(f.error, NotSettledError) for f in self.failures)
+        return len(self.orbits) == 1 and not self.n_unsettled
+
+    @property
+    def n_unsettled(self) -> int:
+        """How many starts led to what does not repeat."""
+        return sum(isinstance(f.error, NotSettledError) and f.error.residual > CREEPS for f in self.failures)
 
     @cached_property
     def floquet(self) -> tuple[Floquet, ...]:
@@ -97,7 +109,7 @@ def describe(orbit: Orbit) -> str:
     return f"mean {1e3 * orbit.mean(0):.4g} mm, amplitude {1e3 * orbit.amplitude(0):.4g} mm{periods}"
 
 
-def attractors(
+def attractors(  # noqa: PLR0913 - keyword-only, each with its default
     machine: Machine,
     frequency: float,
     starts: ArrayLike | None = None,
@@ -105,6 +117,7 @@ def attractors(
     n_spread: int = SPREAD,
     generator: np.random.Generator | None = None,
     max_periods: int = 5000,
+    progress: Callable[[int], object] | None = None,
 ) -> Attractors:
     """Return every distinct attracting orbit or stiction band of the nonlinear machine that a set of starts leads to.
 
@@ -121,7 +134,10 @@ def attractors(
     generator : numpy.random.Generator, optional
         Of the spread; by default one of a fixed seed.
     max_periods : int
-        Valve periods to simulate from the first start before giving up, as of `nonlinear_orbit`.
+        Valve periods to simulate from the first start before giving up, as of `nonlinear_orbit`; from the others a
+        fifth of it.
+    progress : callable, optional
+        Called with 1 after each start, such as the `update` of a tqdm bar.
 
     Returns
     -------
@@ -153,11 +169,14 @@ def attractors(
     search = _Search(machine, float(frequency))
     reached = np.full(len(states), -1, dtype=np.int64)
     failures: list[FailedPoint] = []
+    most = whole("max_periods", max_periods)
     for i, state in enumerate(states):
         try:
-            reached[i] = search.follow(state, whole("max_periods", max_periods) if i == 0 else LOOSE_PERIODS)
+            reached[i] = search.follow(state, most if i == 0 else max(int(LOOSE_PERIODS * most), 1))
         except LtvpneuError as error:
             failures.append(FailedPoint(model="nonlinear", frequency=float(frequency), duty=machine.duty, error=error))
+        if progress is not None:
+            progress(1)
     return _sorted(search, states, reached, tuple(failures))
 
 
@@ -194,14 +213,17 @@ def stroke_of(machine: Machine) -> tuple[float, float]:
         low, high = (max(low, edge), high) if slope > 0 else (low, min(high, edge))
     low = cylinder.lower_stop if math.isfinite(cylinder.lower_stop) else low
     high = cylinder.upper_stop if math.isfinite(cylinder.upper_stop) else high
-    return min(low, high), max(low, high)
+    return low, max(low, high)
 
 
 class _Search:
     """The orbits found so far, and the starts followed to them."""
 
     def __init__(self, machine: Machine, frequency: float) -> None:
-        self.machine, self.frequency, self.scales = machine, frequency, machine.state_scales
+        self.machine, self.frequency, self.scales = machine, frequency, np.array(machine.state_scales)
+        # Of a short stroke beside large dead volumes the stroke is the length that counts.
+        low, high = stroke_of(machine)
+        self.scales[0] = min(self.scales[0], high - low) or self.scales[0]
         self.orbits: list[Orbit] = []
         # Of each orbit all that joined it: of a band, its places of rest.
         self.members: list[list[Orbit]] = []
@@ -254,7 +276,7 @@ class _Search:
             return True
         middle = 0.5 * (one.initial_state + other.initial_state)
         middle[1] = 0.0
-        found = settle(middle, self.run, self.scales, LOOSE, LOOSE_PERIODS)
+        found = settle(middle, self.run, self.scales, LOOSE, BETWEEN)
         stays = found.last.status == OK and found.n_periods > 0
         return stays and abs(float(found.last.state[0] - middle[0])) / self.scales[0] <= SAME
 

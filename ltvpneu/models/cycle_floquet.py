@@ -58,7 +58,7 @@ def cycle_floquet(model: LtvModel) -> Floquet:
     monodromy = slopes_along_turn(end, at, ()).by_state
     if not model.orbit.is_isolated:
         # Set beside, within the stiction band, the piston stays, also where this cycle creeps to the band's edge.
-        monodromy[:, 0] = np.eye(scales.size)[0]
+        monodromy[0, 0], monodromy[1, 0] = 1.0, 0.0
     maps = Maps(
         factors=read_only(monodromy * scales / scales[:, None])[None],
         durations=np.array([model.orbit.period]),

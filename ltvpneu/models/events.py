@@ -136,10 +136,28 @@ def _event_share(kind: int, mode: int, coefficients: FloatArray, machine: Machin
         # On so short a bracket the margin is a straight line to rounding.
         before = _margin(low, kind, mode, coefficients, machine, work)
         after = _margin(high, kind, mode, coefficients, machine, work)
-        root = low + (high - low) * (before / (before - after) + 1e-6)
-        if root < high and _margin(root, kind, mode, coefficients, machine, work) < 0.0:
+        root = low + (high - low) * (before / (before - after) + 1e-6) if before > 0.0 else low
+        if low < root < high and _margin(root, kind, mode, coefficients, machine, work) < 0.0:
             high = root
     # The far side of the bracket: the event has happened there, so it does not happen again.
+    return high
+
+
+@compiled
+def _stop_before(share: float, kind: int, coefficients: FloatArray, machine: MachineArrays, work: FloatArray) -> float:
+    """Return the share at which a stop was met before a reversal beyond it, 2.0 if the reversal is not beyond it.
+
+    So short an excursion lies between the quarters of the step that are looked at.
+    """
+    low, high = 0.0, 2.0
+    if _margin(share, kind, 1, coefficients, machine, work) < 0.0:
+        high = share
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            if _margin(middle, kind, 1, coefficients, machine, work) < 0.0:
+                high = middle
+            else:
+                low = middle
     return high
 
 
@@ -159,14 +177,14 @@ def first_event(mode: int, coefficients: FloatArray, machine: MachineArrays, wor
             slowed = slowed or mode * _value(coefficients, 1, 0.25 * quarter) < 0.0
         if slowed and holding_force(machine.load.dry_friction, machine.load.stiction) > 0.0:
             first, found = _event_share(0, mode, coefficients, machine, work), 0
-        if machine.load.lower_stop > -math.inf:
-            share = _event_share(1, mode, coefficients, machine, work)
-            if share < first:
-                first, found = share, 1
-        if machine.load.upper_stop < math.inf:
-            share = _event_share(2, mode, coefficients, machine, work)
-            if share < first:
-                first, found = share, 2
+        for stop in range(1, 3):
+            exists = machine.load.lower_stop > -math.inf if stop == 1 else machine.load.upper_stop < math.inf
+            if exists:
+                share = _event_share(stop, mode, coefficients, machine, work)
+                if share > first:
+                    share = _stop_before(first, stop, coefficients, machine, work)
+                if share < first:
+                    first, found = share, stop
     return first, found if first <= 1.0 else -1
 
 

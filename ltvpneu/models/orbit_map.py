@@ -1,13 +1,13 @@
 """What kind of orbit the nonlinear machine has over frequency and duty, and whether it is the only one.
 
-A machine with stiction has regions without a unique orbit: bands, where it rests anywhere within an interval;
-subharmonics; and between these, points where the state never repeats. A free piston may go to either end stop: what it
-settles on depends on the start (`attractors`). Chaos is told apart from slow settling by the Lyapunov exponent, the
-mean logarithm by which two neighbours draw apart in a valve period: above zero it is chaos.
+A machine with stiction has bands, where it rests anywhere within an interval; subharmonics; and between these, points
+where the state never repeats. A free piston may go to either end stop: what it settles on depends on the start
+(`attractors`). Chaos is told apart from slow settling by the Lyapunov exponent, the mean logarithm by which two
+neighbours draw apart in a valve period: above zero it is chaos.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import final
@@ -34,6 +34,8 @@ WIDE = 0.2
 """Share of the means' range from which on a gap between them counts as positions that no duty holds [-]."""
 SAID = {"unique": "one orbit from all starts", "band": "stiction band"}
 """Kinds as readers are told them, where that is not by their names."""
+FINE = 0.0125
+"""Steps of duty in which it is looked which positions a duty holds, where the piston may jump [-]."""
 MAP_SPREAD = 6
 """Starts over the stroke and the pressures at each point of a map."""
 CHAOS_PERIODS = 1000
@@ -83,6 +85,9 @@ class OrbitMap(Value):
     """Per valve period [-], where the state never repeats; else nan."""
     branches: tuple[tuple[tuple[Branch, ...], ...], ...]
     """Of every row and column, all orbits that the starts led to."""
+    columns: tuple[tuple[tuple[float, tuple[float, ...]], ...], ...]
+    """At each frequency, duties and the means of all orbits there [m], rising; with more duties than the map's, where
+    it is looked closer which positions a duty holds."""
     failures: tuple[FailedPoint, ...]
 
     @property
@@ -99,32 +104,31 @@ class OrbitMap(Value):
         return int(near[0])
 
     def unheld(self, frequency: float) -> tuple[float, float] | None:
-        """Return the mean positions that no duty of the map holds at a frequency, from and to [m]; None for none.
+        """Return the mean positions that no duty of the map's range holds at a frequency, from and to [m]; or None.
 
-        They lie between orbits of which the start decides, or where a piston without a spring jumps from one duty to
-        the next. No orbit that was found lies among them.
+        They lie between orbits of which the start decides, or where a piston without a spring jumps within `FINE` of
+        duty. No orbit that was found lies among them.
 
         Parameters
         ----------
         frequency : float
             One of the map's [Hz].
         """
-        order = np.argsort(self.duties)
-        row = [self.branches[self.row(frequency)][column] for column in order]
-        columns = [sorted(branch.mean for branch in found) for found in row if found]
-        means = np.unique([mean for column in columns for mean in column])
-        if means.size < 2:
+        columns = [list(means) for _, means in self.columns[self.row(frequency)] if means]
+        found = np.unique([mean for column in columns for mean in column])
+        # One duty says nothing of others.
+        if found.size < 2 or self.duties.size < 2:
             return None
         steps = [pair for column in columns for pair in pairwise(column)]
         if self.machine.load.spring_stiffness == 0:
-            steps += [(min(a[-1], b[-1]), max(a[-1], b[-1])) for a, b in pairwise(columns)]
+            steps += [(min(a[-1], b[-1]), max(a[0], b[0])) for a, b in pairwise(columns)]
         # What lies in such a step and between neighbours of all that was found is not held.
-        gaps = [(float(a), float(b)) for a, b in pairwise(means) if any(lo <= a and b <= hi for lo, hi in steps)]
+        gaps = [(float(a), float(b)) for a, b in pairwise(found) if any(lo <= a and b <= hi for lo, hi in steps)]
         low, high = max(gaps, key=lambda gap: gap[1] - gap[0], default=(0.0, 0.0))
-        return (low, high) if high - low > WIDE * (means[-1] - means[0]) else None
+        return (low, high) if high - low > WIDE * (found[-1] - found[0]) else None
 
     def remark(self, frequency: float | None = None) -> str:
-        """Return what no duty of the map holds, and what does, in a sentence; nothing where all is held.
+        """Return what no duty of the map's range holds, and what does, in a sentence; nothing where all is held.
 
         Parameters
         ----------
@@ -135,16 +139,17 @@ class OrbitMap(Value):
         found = {float(f): gap for f in asked if (gap := self.unheld(float(f))) is not None}
         if not found:
             return ""
-        # What all of them leave out, or else the widest.
         low, high = max(gap[0] for gap in found.values()), min(gap[1] for gap in found.values())
         if low >= high:
-            low, high = max(found.values(), key=lambda gap: gap[1] - gap[0])
-        several = f"{min(found):g} to {max(found):g} Hz ({len(found)} of {asked.size} frequencies)"
-        where = several if len(found) > 1 else f"{min(found):g} Hz"
+            # They have nothing in common: the widest alone.
+            widest = max(found, key=lambda f: found[f][1] - found[f][0])
+            found, (low, high) = {widest: found[widest]}, found[widest]
+        where = ", ".join(f"{f:.4g}" for f in sorted(found))
+        spring = ", or give the piston a spring" if self.machine.load.spring_stiffness == 0 else ""
         return (
-            f"At {where} no duty holds a mean position between {1e3 * low:.4g} and {1e3 * high:.4g} mm: from there the "
-            "piston goes to one side or the other. Feedback holds it: measure the position and set the duty anew each "
-            "period (design.simulate_closed_loop), or give the piston a spring."
+            f"At {where} Hz no duty holds a mean position between {1e3 * low:.4g} and {1e3 * high:.4g} mm: from there "
+            "the piston goes to one side or the other. Feedback holds it: measure the position and set the duty anew "
+            f"each period (design.simulate_closed_loop){spring}."
         )
 
     def count(self, kind: str) -> int:
@@ -207,15 +212,42 @@ def orbit_map(
                 kinds[row][column] = "chaotic"
         if progress is not None:
             progress(1)
+    columns = [
+        _looked_closer(machine, float(frequency), duty_grid, branches[row], n_spread)
+        for row, frequency in enumerate(frequency_grid)
+    ]
     return OrbitMap(
         machine=machine,
         frequencies=frequency_grid,
         duties=duty_grid,
+        columns=tuple(columns),
         kinds=tuple(tuple(line) for line in kinds),
         branches=tuple(tuple(line) for line in branches),
         failures=tuple(failures),
         **{name: read_only(values) for name, values in arrays.items()},
     )
+
+
+def _looked_closer(
+    machine: Machine, frequency: float, duties: FloatArray, row: Sequence[tuple[Branch, ...]], n_spread: int
+) -> tuple[tuple[float, tuple[float, ...]], ...]:
+    """Return duties and means, with duties between two of the map's where the piston may jump from one to the other."""
+    order = np.argsort(duties)
+    columns = [(float(duties[i]), tuple(sorted(branch.mean for branch in row[i]))) for i in order]
+    known = [mean for _, means in columns for mean in means]
+    reach = WIDE * (max(known) - min(known)) if known else 0.0
+    found = columns[:1]
+    for before, after in pairwise(columns):
+        ends = [*before[1], *after[1]]
+        springless = machine.load.spring_stiffness == 0
+        jumps = len(before[1]) > 1 or len(after[1]) > 1 or (springless and len(ends) > 1)
+        if jumps and max(ends) - min(ends) > reach:
+            count = math.ceil((after[0] - before[0]) / FINE - 1e-9)
+            for duty in np.linspace(before[0], after[0], count + 1)[1:-1].tolist():
+                settled = attractors(machine.with_duty(duty), frequency, n_spread=n_spread)
+                found.append((duty, tuple(sorted(orbit.mean("position") for orbit in settled.orbits))))
+        found.append(after)
+    return tuple(found)
 
 
 def _kind(found: Attractors) -> str:

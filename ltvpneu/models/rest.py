@@ -85,4 +85,6 @@ def positions_of_rest(machine: Machine) -> tuple[float, float]:
         ends = np.outer(arrays.chambers[:, 3], [machine.exhaust_pressure, machine.supply_pressure])
         lower = max(lower, (rest + float(ends.min(axis=1).sum()) - hold) / load.spring_stiffness)
         upper = min(upper, (rest + float(ends.max(axis=1).sum()) + hold) / load.spring_stiffness)
-    return lower, upper
+    # Where all of them lie beyond a stop, the piston lies on it.
+    low, high = machine.cylinder.lower_stop, machine.cylinder.upper_stop
+    return min(max(lower, low), high), min(max(upper, low), high)

@@ -33,6 +33,9 @@ from ltvpneu.periodic.product import from_logs, log_multipliers, product_multipl
 from ltvpneu.periodic.propagate import complex_exponentials, exponentials
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
+LEAST_SHARE, TINY = -27.0, float(np.finfo(float).tiny)
+"""Logarithm of a modulus, over the largest or one, below which the whole map has lost it to rounding [-]."""
+
 
 def monodromy(system: PeriodicSystem) -> FloatArray:
     """Return the monodromy matrix Phi, z(T) = Phi z(0) + g, shape (n, n).
@@ -124,7 +127,10 @@ class Floquet(Value):
     @property
     def exponents(self) -> ComplexArray:
         """Principal characteristic exponents log(multiplier) / period [1/s], shape (n,)."""
-        return (self.log_moduli + 1j * self.angles) / self.period
+        found = np.empty(self.log_moduli.size, dtype=np.complex128)
+        # Part by part: of a multiplier of zero the real part is minus infinity, and infinity times i is no number.
+        found.real, found.imag = self.log_moduli / self.period, self.angles / self.period
+        return found
 
     @property
     def spectral_radius(self) -> float:
@@ -234,46 +240,63 @@ class Floquet(Value):
 
     def _upper_vectors(self, mode: int) -> tuple[ComplexArray, ComplexArray]:
         if mode not in self._known_vectors:
-            if not np.isfinite(self.log_moduli[mode]):
-                member = int(np.count_nonzero(~np.isfinite(self.log_moduli[mode + 1 :])))
-                return self._vanishing(member)
-            apart = np.abs(self.log_moduli - self.log_moduli[mode]) + np.abs(self.angles - self.angles[mode])
-            # Members of one multiple multiplier take the singular vectors in turn.
-            member = int(np.count_nonzero(apart[:mode] < 1e-8))
-            self._known_vectors[mode] = self._pieces_of_exponent(complex(self.exponents[mode]), member)
+            of_system = self.system is not None and np.isfinite(self.log_moduli[mode])
+            self._known_vectors[mode] = self._vectors_of_system(mode) if of_system else self._vectors_of_product(mode)
         return self._known_vectors[mode]
+
+    def _vectors_of_system(self, mode: int) -> tuple[ComplexArray, ComplexArray]:
+        apart = np.abs(self.log_moduli - self.log_moduli[mode]) + np.abs(self.angles - self.angles[mode])
+        # Members of one multiple multiplier take the singular vectors in turn.
+        member = int(np.count_nonzero(apart[:mode] < 1e-8))
+        return self._pieces_of_exponent(complex(self.exponents[mode]), member)
 
     @cached_property
     def _known_vectors(self) -> dict[int, tuple[ComplexArray, ComplexArray]]:
         return {}
 
     def _pieces_of_exponent(self, exponent: complex, member: int) -> tuple[ComplexArray, ComplexArray]:
-        factors = self._shifted(exponent)
+        system = self.system
+        assert system is not None
+        n, pieces = system.n_states, system.fine_pieces
+        matrices = (system.scaled.matrices[:, :n, :n] - exponent * np.eye(n)) * system.durations[:, None, None]
+        factors = np.repeat(complex_exponentials(matrices / pieces[:, None, None]), pieces, axis=0)
         nothing = np.zeros((len(factors), factors.shape[1], 1))
         forward = _null_trajectory(reduced(factors, nothing), member)
         transposed = np.swapaxes(factors[::-1], 1, 2)
         backward = _null_trajectory(reduced(transposed, nothing), member)
         return forward, np.roll(backward[::-1], 1, axis=0)
 
-    def _vanishing(self, member: int) -> tuple[ComplexArray, ComplexArray]:
-        """Return p and q of a multiplier of zero: what is gone after a period, and what nothing before it leads to."""
-        factors = self.maps.factors
-        left, _, right = np.linalg.svd(self.maps.product)
-        forward, backward = [right[-1 - member]], [left[:, -1 - member]]
-        for factor in factors[:-1]:
-            forward.append(factor @ forward[-1])
-        for factor in factors[:0:-1]:
-            backward.append(factor.T @ backward[-1])
-        return np.array(forward, dtype=np.complex128), np.roll(np.array(backward[::-1], dtype=np.complex128), 1, axis=0)
+    def _vectors_of_product(self, mode: int) -> tuple[ComplexArray, ComplexArray]:
+        """Return p and q by the eigenvectors of the whole map, whose factors may be singular, as where a piston stops.
 
-    def _shifted(self, exponent: complex) -> ComplexArray:
-        """Return the maps less the growth of one mode, shape (n_maps, n, n): its shape repeats under them."""
-        system, maps = self.system, self.maps
-        if system is None:
-            return np.asarray(maps.factors * np.exp(-exponent * maps.durations)[:, None, None], dtype=np.complex128)
-        n, pieces = system.n_states, system.fine_pieces
-        matrices = (system.scaled.matrices[:, :n, :n] - exponent * np.eye(n)) * system.durations[:, None, None]
-        return np.repeat(complex_exponentials(matrices / pieces[:, None, None]), pieces, axis=0)
+        A multiplier below the rounding of one, or of the largest, is as good as zero: what it belongs to is gone after
+        the period.
+        """
+        maps, least = self.maps, max(float(self.log_moduli[0]), 0.0) + LEAST_SHARE
+        if self.log_moduli[mode] > least:
+            exponent = complex(self.exponents[mode])
+            p, q = (_eigenvector(matrix, self.multipliers[mode]) for matrix in (maps.product, maps.product.T))
+        else:
+            exponent = 0j
+            left, values, right = np.linalg.svd(maps.product)
+            gone = np.flatnonzero(self.log_moduli <= least)
+            # A chain of them has one direction that is gone after one period.
+            n_null = max(int(np.count_nonzero(values <= 1e-12 * max(values[0], TINY))), 1)
+            member = min(int(np.count_nonzero(gone > mode)), n_null - 1)
+            p, q = right[-1 - member].astype(np.complex128), left[:, -1 - member].astype(np.complex128)
+        shrink = np.exp(-exponent * maps.durations)
+        forward, backward = [p], [q]
+        for factor, share in zip(maps.factors[:-1], shrink[:-1], strict=True):
+            forward.append(share * (factor @ forward[-1]))
+        for factor, share in zip(maps.factors[:0:-1], shrink[:0:-1], strict=True):
+            backward.append(share * (factor.T @ backward[-1]))
+        return np.array(forward), np.roll(np.array(backward[::-1]), 1, axis=0)
+
+
+def _eigenvector(matrix: FloatArray, eigenvalue: complex) -> ComplexArray:
+    """Return the eigenvector of a matrix whose eigenvalue is nearest to the one given."""
+    values, vectors = np.linalg.eig(matrix)
+    return vectors[:, int(np.argmin(np.abs(values - eigenvalue)))].astype(np.complex128)
 
 
 def _null_trajectory(one: Reduced, member: int) -> ComplexArray:

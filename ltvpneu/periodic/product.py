@@ -79,7 +79,9 @@ def from_logs(log_moduli: FloatArray, angles: FloatArray) -> ProductMultipliers:
     multipliers = np.zeros(len(order), dtype=np.complex128)
     np.multiply(moduli, np.cos(angles), out=multipliers.real)
     np.multiply(moduli, sines, out=multipliers.imag, where=sines != 0)
-    return ProductMultipliers(multipliers=multipliers, log_moduli=read_only(log_moduli), angles=read_only(angles))
+    return ProductMultipliers(
+        multipliers=read_only(multipliers), log_moduli=read_only(log_moduli), angles=read_only(angles)
+    )
 
 
 def _exp(logs: FloatArray) -> FloatArray:

@@ -24,6 +24,8 @@ from ltvpneu.physics.thermal import EnergyBalance
 
 ATMOSPHERE = 101325.0
 """One standard atmosphere [Pa]: the ambient pressure where none is given."""
+ROUNDED = 0.01
+"""Share of a rod's area by which areas of a data sheet may miss each other [-]."""
 
 
 @final
@@ -49,7 +51,7 @@ class Cylinder(Value):
     rod_area_1, rod_area_2 : float or None
         Cross-sections of the rods that leave through the ends of side 1 and side 2 [m^2]. None is what makes both sides
         of the piston as large with their rods: the difference of the piston areas, and the other rod's where that is
-        given. Given both, they are taken as they are.
+        given (to within a hundredth of it: data sheets round). Given both, they are taken as they are.
 
     Examples
     --------
@@ -146,8 +148,8 @@ class Cylinder(Value):
         first, second = self.rod_area_1, self.rod_area_2
         excess = self.piston_area_1 - self.piston_area_2
         if first is None:
-            first = max(0.0, -excess) if second is None else second - excess
-        return first, first + excess if second is None else second
+            first = max(0.0, -excess) if second is None else _other_rod(second, second - excess)
+        return first, _other_rod(first, first + excess) if second is None else second
 
     @property
     def ambient_push_area(self) -> float:
@@ -166,3 +168,8 @@ class Cylinder(Value):
     def push_area_2(self) -> float:
         """Force over pressure 2, -(A_p2 + C_p) [m^2]; printed with the other sign in (7b) (erratum E4)."""
         return -(self.piston_area_2 + self.seal_friction_area)
+
+
+def _other_rod(given: float, found: float) -> float:
+    """Return the rod on the other side, none where the areas of a data sheet leave less than rounding of one."""
+    return 0.0 if -ROUNDED * given <= found < 0 else found

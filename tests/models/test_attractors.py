@@ -154,6 +154,47 @@ def test_a_map_says_where_the_start_decides(free_cylinder):
     assert "Feedback holds it" in found.remark(20.0)
 
 
+def test_a_coarse_map_claims_nothing_that_a_finer_one_refutes(free_cylinder):
+    # At 1 Hz the piston goes all the way, and its mean follows the duty between two that are far apart.
+    coarse = design.duty_map(free_cylinder, [0.3, 0.5], [1.0])
+    assert coarse.orbits.remark() == ""
+    duty = coarse.duty_for(-0.0066, 1.0)
+    assert_allclose(lp.nonlinear_orbit(free_cylinder.with_duty(duty), 1.0).mean(0), -0.0066, atol=1e-3)
+    assert lp.orbit_map(free_cylinder, [0.45], [20.0]).remark() == ""
+    low, high = lp.orbit_map(free_cylinder, [0.05, 0.275, 0.5, 0.725, 0.95], [5.0]).unheld(5.0)
+    for held in (lp.nonlinear_orbit(free_cylinder.with_duty(d), 5.0).mean(0) for d in (0.3, 0.4, 0.45, 0.475)):
+        assert not low < held < high
+
+
+def test_a_start_that_is_only_slow_is_no_other_attractor():
+    # From 14 of 17 starts the piston creeps to the band's other edge for some 10,000 periods.
+    found = lp.attractors(lp.load_machine(MACHINES / "edge_of_band.toml"), 36.12281831685486, max_periods=2500)
+    assert found.is_single
+    assert found.n_unsettled == 0
+    assert len(found.failures) > 5
+    assert "starts to none" in repr(found)
+
+
+def test_starts_lie_within_the_stops_also_of_a_piston_pressed_far_beyond():
+    machine = lp.load_machine(MACHINES / "spring_return.toml")
+    one = replace(
+        machine, cylinder=replace(machine.cylinder, upper_stop=math.inf), load=replace(machine.load, force=-200.0)
+    )
+    assert lp.attractors(one, 10.0).orbits[0].rest == "rests on the lower stop, 0 mm"
+
+
+def test_an_excursion_past_a_stop_between_the_places_looked_at_ends_on_the_stop(free_cylinder):
+    cylinder = replace(
+        free_cylinder.cylinder, dead_volume_1=6e-4, dead_volume_2=5.4e-4, lower_stop=-8e-4, upper_stop=8e-4
+    )
+    load = replace(free_cylinder.load, stiction=5.0, dry_friction=5.0)
+    short = replace(free_cylinder, cylinder=cylinder, load=load).with_duty(0.45)
+    orbit = lp.nonlinear_orbit(short, 20.0, [0.0, 0.0, 101300.0, 701325.0])
+    assert orbit.maximum(0) <= 8e-4 * (1 + 1e-12)
+    # Two orbits nearer to each other than the dead length of 0.8 m is long are two.
+    assert lp.attractors(short, 20.0).is_single
+
+
 def test_a_map_of_a_sprung_drive_holds_every_position(table_1, double_acting):
     for machine in (table_1, double_acting):
         found = lp.orbit_map(machine, np.linspace(0.2, 0.8, 5), [15.0])

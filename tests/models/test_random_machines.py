@@ -58,7 +58,12 @@ def test_an_isolated_orbit_attracts_and_a_band_is_marginal(seed):
         orbit = lp.nonlinear_orbit(machine, frequency)
     except lp.LtvpneuError:
         return
-    found = lp.orbit_floquet(machine, orbit)
+    found, scales = lp.orbit_floquet(machine, orbit), machine.state_scales
+    whole, modes = found.monodromy * scales / scales[:, None], found.modes / scales[:, None]
+    modes = modes / np.linalg.norm(modes, axis=0)
+    # Modes belong to their multipliers, those of zero too, where a stop or stiction takes a direction away.
+    assert np.abs(whole @ modes - modes * found.multipliers).max() < 1e-9 * max(np.abs(whole).max(), 1.0)
+    assert not np.isnan(found.exponents).any()
     if orbit.is_isolated:
         assert found.spectral_radius < 1.0 + 1e-6
     else:

@@ -126,6 +126,17 @@ def test_a_model_outside_the_stops_says_so():
     assert_allclose(fitted.orbit.mean(0), 0.025, rtol=1e-9)
 
 
+def test_the_monodromy_matrix_of_a_band_has_its_pressures_follow_the_position(table_1):
+    machine = table_1.with_duty(0.7)
+    orbit = lp.nonlinear_orbit(machine, 20.0)
+    nonlinear = lp.orbit_floquet(machine, orbit).monodromy
+    fitted = lp.cycle_floquet(lp.ltv_model(machine, 20.0, operating_points="fitted")).monodromy
+    assert_allclose(nonlinear[:2, 0], (1.0, 0.0))
+    assert_allclose(fitted[:2, 0], (1.0, 0.0))
+    # As far as a model of two steps is from the machine.
+    assert_allclose(fitted[2, 0], nonlinear[2, 0], rtol=0.05)
+
+
 def test_modes_of_an_orbit_repeat_along_it(table_1):
     orbit = lp.nonlinear_orbit(table_1, 8.0)
     found = lp.orbit_floquet(table_1, orbit)

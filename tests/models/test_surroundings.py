@@ -128,6 +128,12 @@ def test_the_balance_closes_and_names_no_air_that_the_surroundings_gave(double_a
     assert found.energy_error < 1e-9
 
 
+def test_a_rod_that_a_data_sheet_rounds_is_taken(double_acting):
+    # 8.042 less 6.911 is 1.131 cm^2.
+    cylinder = replace(double_acting.cylinder, piston_area_1=8.042e-4, piston_area_2=6.911e-4, rod_area_2=1.13e-4)
+    assert cylinder.rod_areas == (0.0, 1.13e-4)
+
+
 @pytest.mark.parametrize(
     ("cylinder", "message"),
     [
