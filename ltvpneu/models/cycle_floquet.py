@@ -12,12 +12,13 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, read_only
 from ltvpneu.models.linearize import LtvModel
 from ltvpneu.models.machine import Machine
+from ltvpneu.models.nonlinear import TIGHTER
 from ltvpneu.models.own_cycle import Found
 from ltvpneu.models.parameters import STATE_STEP, TOLERANCE, march_beside, slopes_along_turn
 from ltvpneu.periodic.floquet import Floquet, Maps, floquet, orbit_multipliers
 
-MARGIN = TOLERANCE / STATE_STEP
-"""How far differences may put a multiplier off [-]."""
+MARGIN = TIGHTER * TOLERANCE / STATE_STEP
+"""How far differences may put a multiplier off [-]: what pressures are marched to, over the step."""
 
 
 def cycle_floquet(model: LtvModel) -> Floquet:

@@ -190,7 +190,8 @@ def test_an_excursion_past_a_stop_between_the_places_looked_at_ends_on_the_stop(
     load = replace(free_cylinder.load, stiction=5.0, dry_friction=5.0)
     short = replace(free_cylinder, cylinder=cylinder, load=load).with_duty(0.45)
     orbit = lp.nonlinear_orbit(short, 20.0, [0.0, 0.0, 101300.0, 701325.0])
-    assert orbit.maximum(0) <= 8e-4 * (1 + 1e-12)
+    # To the rounding of the root.
+    assert orbit.maximum(0) <= 8e-4 * (1 + 1e-10)
     # Two orbits nearer to each other than the dead length of 0.8 m is long are two.
     assert lp.attractors(short, 20.0).is_single
 
