@@ -16,7 +16,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import FloatArray, IntArray, finite_array, positive, read_only, whole
+from ltvpneu._arrays import ComplexArray, FloatArray, IntArray, finite_array, positive, read_only, whole
 from ltvpneu._values import Value
 from ltvpneu.errors import LtvpneuError, NotSettledError
 from ltvpneu.models.failed_point import FailedPoint
@@ -94,9 +94,14 @@ class Attractors(Value):
         """How many starts led to what does not repeat."""
         return sum(isinstance(f.error, NotSettledError) and f.error.residual > CREEPS for f in self.failures)
 
+    @property
+    def multipliers(self) -> tuple[ComplexArray, ...]:
+        """Floquet multipliers of each orbit [-]."""
+        return tuple(one.multipliers for one in self.floquet)
+
     @cached_property
     def floquet(self) -> tuple[Floquet, ...]:
-        """Multipliers of each orbit."""
+        """Stability of each orbit."""
         return tuple(orbit_floquet(self.machine, orbit) for orbit in self.orbits)
 
 
