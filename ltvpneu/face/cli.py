@@ -276,7 +276,8 @@ def _stability(options: argparse.Namespace) -> int:
     points = options.operating_points or ("self-consistent" if isinstance(machine.gas, Liquid) else "fitted")
     rows: list[list[str]] = []
     all_stable = True
-    with tqdm(total=len(options.frequency), desc="stability", unit="frequency", leave=False) as bar:
+    # On a terminal only: a script reads what comes out.
+    with tqdm(total=len(options.frequency), desc="stability", unit="frequency", leave=False, disable=None) as bar:
         for frequency in options.frequency:
             row, is_stable = _stability_row(machine, frequency, options.n_steps, points)
             rows.append(row)

@@ -34,7 +34,7 @@ def test_an_orbit_of_a_random_machine_is_the_twins(seed):
         assert_allclose(orbit.maximum(i) / scales[i], highs[i] / scales[i], atol=1e-4)
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(st.integers(1000, 100000))
 def test_a_position_pressed_on_a_stop_is_stable_in_every_model(seed):
     machine, frequency = random_machine(np.random.default_rng(seed))
@@ -50,7 +50,7 @@ def test_a_position_pressed_on_a_stop_is_stable_in_every_model(seed):
     assert_allclose(lp.steady_state(model.system).mean(0), orbit.mean(0), rtol=1e-9)
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(st.integers(1000, 100000))
 def test_an_isolated_orbit_attracts_and_a_band_is_marginal(seed):
     machine, frequency = random_machine(np.random.default_rng(seed))
