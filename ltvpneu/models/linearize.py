@@ -266,10 +266,15 @@ class LtvModel(Value):
         return float(np.max(np.abs(differences))) / self.machine.supply_pressure
 
 
-def warn_outside(model: LtvModel) -> LtvModel:
-    """Return a model, with a warning if even the mean of its cycle lies well beyond an end stop."""
+def warn_outside(model: LtvModel, mean_balance: float) -> LtvModel:
+    """Return a model, with a warning if even the mean of its cycle lies well beyond an end stop.
+
+    That is looked at where the mean of the positions that the spring alone would balance lies beyond one.
+    """
     low, high = model.machine.cylinder.lower_stop, model.machine.cylinder.upper_stop
     reach = WELL_BEYOND * (high - low if np.isfinite(high - low) else float(model.machine.state_scales[0]))
+    if low <= mean_balance <= high:
+        return model
     if model.beyond_stops > reach and not low - reach <= model.orbit.mean(0) <= high + reach:
         warnings.warn(
             f"the cycle of the linear model lies beyond the cylinder's end stops, of which operating points "

@@ -52,7 +52,8 @@ def lti_model(
     50 mm
     """
     turn = quasi_static_turn(machine, n_steps)
-    return warn_outside(lti_model_of_turn(machine, frequency, turn, about_operating_point, least_distance))
+    model = lti_model_of_turn(machine, frequency, turn, about_operating_point, least_distance)
+    return warn_outside(model, turn.mean_balance)
 
 
 def lti_model_of_turn(

@@ -138,11 +138,11 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     if hold not in ("zero", "first"):
         raise ValueError(f'hold: found {hold!r}, expected "zero" or "first"')
     n_steps, tangent = default_steps(machine) if n_steps is None else n_steps, "paper" if tangent is None else tangent
-    iterations, mode, held_back = 0, "given", ()
+    iterations, mode, held_back, mean_balance = 0, "given", (), 0.0
     if isinstance(operating_points, str):
         mode = operating_points
         turn = quasi_static_turn(machine, n_steps)
-        stairs = turn.stairs
+        stairs, mean_balance = turn.stairs, turn.mean_balance
         iterations = 1 if mode in ("lti", "lti-position", "mean") else 0
         asked = _asked(machine, frequency, turn, operating_points, least_distance)
         points, held_back = held_inside(machine, turn, asked, least_distance)
@@ -165,7 +165,7 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
         least_distance=least_distance,
         iterations=iterations,
     )
-    return warn_outside(model)
+    return warn_outside(model, mean_balance)
 
 
 def _following_its_cycle(question: Question, n_steps: int | None, spacing: Spacing, rtol: float | None) -> LtvModel:

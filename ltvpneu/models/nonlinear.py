@@ -142,8 +142,7 @@ def nonlinear_orbit(
             raise_stopped(machine, found.last.status, elapsed, found.last.state)
         if found.n_periods == 1:
             orbit = _orbit(machine, period, [found.last.record], (n_simulated, found.residual))
-            positions = np.array([orbit.minimum(0), orbit.maximum(0)])
-            if orbit.is_isolated and is_at_edge_of_band(machine, run, positions, found.last.state, float(tolerance)):
+            if orbit.is_isolated and is_at_edge_of_band(machine, run, orbit, float(tolerance)):
                 return replace(orbit, is_isolated=False, rest=AT_EDGE)
             return orbit
         residual, start = found.residual, found.last.state

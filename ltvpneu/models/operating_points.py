@@ -31,6 +31,8 @@ class Turn(NamedTuple):
     """State that each step would settle on, (16), shape (n_steps, n)."""
     mean: FloatArray
     """zbar, the mean over the turn of the quasi-static states, (15)-(16), shape (n,)."""
+    mean_balance: float
+    """Mean over the turn of the positions that the spring alone would balance, stops or not [m]."""
 
 
 def quasi_static_turn(machine: Machine, n_steps: int | None) -> Turn:
@@ -46,7 +48,7 @@ def quasi_static_turn(machine: Machine, n_steps: int | None) -> Turn:
     states = quasi_static_states(machine, stairs.areas)
     finely = states if fine.fractions.size == stairs.fractions.size else quasi_static_states(machine, fine.areas)
     widths = np.diff(fine.fractions)
-    return Turn(stairs, states, widths @ finely)
+    return Turn(stairs, states, widths @ finely, float(widths @ _balanced(machine, finely)))
 
 
 def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
@@ -62,11 +64,16 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
         )
     arrays = machine.arrays
     states = settled_states(areas, arrays, np.array(machine.rest_state))
-    force = load.force + arrays.load.ambient_push_area * machine.ambient_pressure
-    balanced = (states[:, 2 : 2 + machine.n_volumes] @ arrays.chambers[:, 3] + force) / load.spring_stiffness
     # What the spring does not bear, an end stop does.
-    states[:, 0] = np.clip(balanced, machine.cylinder.lower_stop, machine.cylinder.upper_stop)
+    states[:, 0] = np.clip(_balanced(machine, states), machine.cylinder.lower_stop, machine.cylinder.upper_stop)
     return states
+
+
+def _balanced(machine: Machine, states: FloatArray) -> FloatArray:
+    """Return the positions at which the spring balances the states' pressures [m], (n_steps,)."""
+    load, arrays = machine.load, machine.arrays
+    force = load.force + arrays.load.ambient_push_area * machine.ambient_pressure
+    return (states[:, 2 : 2 + machine.n_volumes] @ arrays.chambers[:, 3] + force) / load.spring_stiffness
 
 
 def held_inside(

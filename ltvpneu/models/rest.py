@@ -9,6 +9,7 @@ from ltvpneu.models.integrator import OK
 from ltvpneu.models.machine import Machine
 from ltvpneu.models.runge_kutta import Run
 from ltvpneu.models.settle import settle
+from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.physics.friction import holding_force
 
 STILL = 10.0
@@ -45,16 +46,20 @@ def what_holds(machine: Machine, states: FloatArray, modes: IntArray) -> str:
     return f"rests on the {'upper' if side > 0 else 'lower'} stop, {1e3 * float(states[0, 0]):.4g} mm"
 
 
-def is_at_edge_of_band(machine: Machine, run: Run, positions: FloatArray, state: FloatArray, tolerance: float) -> bool:
+def is_at_edge_of_band(machine: Machine, run: Run, orbit: Orbit, tolerance: float) -> bool:
     """Whether an orbit with next to no travel is no more than a creep to the edge of a stiction band.
 
-    It is if the piston rests for good just beside. `positions` are those of the orbit [m], `state` is its start, (n,).
+    It is if the piston rests for good just beside.
     """
-    length, (low, high) = float(machine.state_scales[0]), (float(positions.min()), float(positions.max()))
-    if not machine.has_dry_friction or high - low > STILL * tolerance * length:
+    length, positions = float(machine.state_scales[0]), orbit.step_states[:, 0]
+    # Its steps' starts are there; extremes cost more, and few orbits are that still.
+    if not machine.has_dry_friction or np.ptp(positions) > STILL * tolerance * length:
+        return False
+    low, high = orbit.minimum(0), orbit.maximum(0)
+    if high - low > STILL * tolerance * length:
         return False
     for side in (-1, 1):
-        beside = state.copy()
+        beside = orbit.initial_state.copy()
         beside[0] = (low if side < 0 else high) + side * BESIDE * tolerance * length
         beside[1] = 0.0
         if not machine.cylinder.lower_stop <= beside[0] <= machine.cylinder.upper_stop:
