@@ -192,7 +192,7 @@ def test_an_excursion_past_a_stop_between_the_places_looked_at_ends_on_the_stop(
     orbit = lp.nonlinear_orbit(short, 20.0, [0.0, 0.0, 101300.0, 701325.0])
     # To the rounding of the root.
     assert orbit.maximum(0) <= 8e-4 * (1 + 1e-10)
-    # Two orbits nearer to each other than the dead length of 0.8 m is long are two.
+    # From every start, the corners of the pressures among them, and told apart by the stroke, not the dead length.
     assert lp.attractors(short, 20.0).is_single
 
 

@@ -122,7 +122,7 @@ def test_superposition_holds_in_the_ambient_pressure(double_acting):
     assert_allclose(means[2] - means[1], means[1] - means[0], rtol=1e-9)
 
 
-def test_the_balance_closes_and_names_no_air_that_the_surroundings_gave(double_acting):
+def test_the_balance_closes_beside_the_surroundings(double_acting):
     found = lp.balance(double_acting, lp.nonlinear_orbit(double_acting, 8.0))
     assert found.mass_error < 1e-9
     assert found.energy_error < 1e-9
