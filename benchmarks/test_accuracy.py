@@ -17,10 +17,10 @@ from scipy.integrate import solve_ivp
 
 import ltvpneu as lp
 from benchmarks.conftest import ratio
-from ltvpneu.models.dynamics import state_rate
-from ltvpneu.models.events import mode_of
-from ltvpneu.models.ltv import OperatingPoints
-from ltvpneu.models.nonlinear import schedule_of
+from ltvpneu.models.linear.ltv import OperatingPoints
+from ltvpneu.models.machine.dynamics import state_rate
+from ltvpneu.models.machine.openings import schedule_of
+from ltvpneu.models.machine.piston import mode_of
 
 
 def best_time(function: Callable[[], object], repeats: int = 20) -> float:
@@ -35,7 +35,7 @@ def best_time(function: Callable[[], object], repeats: int = 20) -> float:
 
 def solve_ivp_amplitude(machine: lp.Machine, frequency: float, rtol: float, n_periods: int) -> float:
     """Half the peak-to-peak of the last period of solve_ivp, restarted at every switch; stick as strong damping."""
-    schedule, scales, arrays = schedule_of(machine, 1 / frequency), machine.state_scales, machine.arrays
+    schedule, scales, arrays = schedule_of(machine.openings, 1 / frequency), machine.state_scales, machine.arrays
     state, low, high = machine.rest_state.copy(), np.inf, -np.inf
     for period in range(n_periods):
         for piece in range(schedule.times.size - 1):

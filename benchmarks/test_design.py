@@ -21,12 +21,12 @@ from scipy.optimize import minimize
 import ltvpneu as lp
 from ltvpneu import design
 from ltvpneu.design.solving import TIGHT
-from ltvpneu.design.subproblem import stacked
+from ltvpneu.design.switching.subproblem import stacked
 from ltvpneu.errors import LtvpneuError
-from ltvpneu.models.cycle_figures import Figure
-from ltvpneu.models.linear_figures import LinearCycles
-from ltvpneu.models.nonlinear_figures import NonlinearCycles
-from ltvpneu.models.parameters import present_value
+from ltvpneu.models.cycles.figures import Figure
+from ltvpneu.models.cycles.linear_cycles import LinearCycles
+from ltvpneu.models.cycles.nonlinear_cycles import NonlinearCycles
+from ltvpneu.models.machine.parameters import present_value
 
 MEAN = 0.045
 

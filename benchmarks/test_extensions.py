@@ -10,10 +10,11 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 import ltvpneu as lp
 from benchmarks.conftest import ratio
-from ltvpneu.models.integrator import integrate_period
-from ltvpneu.models.nonlinear import integration_settings, schedule_of
-from ltvpneu.models.own_cycle import OwnCycle
-from ltvpneu.models.runge_kutta import Run
+from ltvpneu.models.linear.own_cycle import OwnCycle
+from ltvpneu.models.machine.openings import schedule_of
+from ltvpneu.models.nonlinear.integrator import integrate_period
+from ltvpneu.models.nonlinear.runge_kutta import Run
+from ltvpneu.models.nonlinear.simulation import integration_settings
 
 FREQUENCY = 4.0
 
@@ -44,7 +45,7 @@ def test_orbits_of_the_extensions(benchmark: BenchmarkFixture, table_1: lp.Machi
 
 
 def test_what_the_short_cuts_spare(benchmark: BenchmarkFixture, table_1: lp.Machine) -> None:
-    schedule, settings = schedule_of(table_1, 1 / FREQUENCY), integration_settings(table_1, 1e-8)
+    schedule, settings = schedule_of(table_1.openings, 1 / FREQUENCY), integration_settings(table_1, 1e-8)
     start = np.array(table_1.rest_state)
     short = Run(schedule, table_1.arrays, settings)
     general = short._replace(machine=table_1.arrays._replace(plain=False))

@@ -16,9 +16,9 @@ from scipy.integrate import solve_ivp
 
 import ltvpneu as lp
 from benchmarks.conftest import ratio
-from ltvpneu.models.dynamics import STUCK, external_force, state_rate
-from ltvpneu.models.events import mode_of
-from ltvpneu.models.linearize import areas_at
+from ltvpneu.models.linear.linearize import areas_at
+from ltvpneu.models.machine.dynamics import STUCK, external_force, state_rate
+from ltvpneu.models.machine.piston import mode_of
 
 FREQUENCY, N_PERIODS = 4.0, 5
 RHS = Callable[[float, np.ndarray, int, bool], np.ndarray]

@@ -20,23 +20,24 @@ from ltvpneu.errors import (
 )
 from ltvpneu.face.machine_file import load_machine
 from ltvpneu.face.plots import plot
-from ltvpneu.models.amplitude import AmplitudeResponse, amplitude_response
-from ltvpneu.models.attractors import Attractors, attractors
-from ltvpneu.models.balance import Balance, balance
-from ltvpneu.models.connections import FlowPath
-from ltvpneu.models.cycle_floquet import cycle_floquet
-from ltvpneu.models.error_estimate import ErrorEstimate
-from ltvpneu.models.failed_point import FailedPoint
-from ltvpneu.models.linearize import Linearization, LtvModel, linearize
-from ltvpneu.models.lti import lti_model
-from ltvpneu.models.ltv import ltv_model
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.nonlinear import DormandPrince, RungeKutta4, nonlinear_orbit, simulate
-from ltvpneu.models.orbit_map import Branch, OrbitMap, orbit_map
-from ltvpneu.models.parameters import ParameterSensitivity, nonlinear_sensitivity, parameter_sensitivity
-from ltvpneu.models.stiction_band import StictionBand, stiction_band
-from ltvpneu.models.validity_map import ValidityMap, validity_map
-from ltvpneu.models.variational import orbit_floquet
+from ltvpneu.models.cycles.amplitude import AmplitudeResponse, amplitude_response
+from ltvpneu.models.cycles.floquet import cycle_floquet
+from ltvpneu.models.cycles.orbit_map import Branch, OrbitMap, orbit_map
+from ltvpneu.models.cycles.sensitivity import ParameterSensitivity, nonlinear_sensitivity, parameter_sensitivity
+from ltvpneu.models.cycles.validity_map import ValidityMap, validity_map
+from ltvpneu.models.linear.error_estimate import ErrorEstimate
+from ltvpneu.models.linear.linearize import Linearization, linearize
+from ltvpneu.models.linear.lti import lti_model
+from ltvpneu.models.linear.ltv import ltv_model
+from ltvpneu.models.linear.model import LtvModel
+from ltvpneu.models.machine.connections import FlowPath
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.nonlinear.attractors import Attractors, attractors
+from ltvpneu.models.nonlinear.balance import Balance, balance
+from ltvpneu.models.nonlinear.failed_point import FailedPoint
+from ltvpneu.models.nonlinear.floquet import orbit_floquet
+from ltvpneu.models.nonlinear.simulation import DormandPrince, RungeKutta4, nonlinear_orbit, simulate
+from ltvpneu.models.nonlinear.stiction_band import StictionBand, stiction_band
 from ltvpneu.periodic.floquet import Floquet, floquet, monodromy
 from ltvpneu.periodic.gramians import Gramians, gramians
 from ltvpneu.periodic.harmonic import frequency_response, harmonic_transfer

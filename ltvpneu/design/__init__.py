@@ -2,16 +2,16 @@
 
 from ltvpneu.design.air_use import air_use, with_air_use
 from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box
-from ltvpneu.design.duty_cycle import Goals, optimize_duty
 from ltvpneu.design.duty_map import DutyMap, duty_map
-from ltvpneu.design.duty_problem import DutyProblem, duty_problem
-from ltvpneu.design.duty_solution import DutySolution
 from ltvpneu.design.feedback import ClosedLoop, Measurement, duty_model, simulate_closed_loop
-from ltvpneu.design.forcing import ForcingProblem, ForcingSolution, forcing_problem
-from ltvpneu.design.linearized_cycle import LinearizedCycle
-from ltvpneu.design.pattern import PatternSolution, optimize_pattern
+from ltvpneu.design.forcing.forcing import ForcingProblem, ForcingSolution, forcing_problem
+from ltvpneu.design.pattern.pattern import PatternSolution, optimize_pattern
 from ltvpneu.design.position_controller import PositionController
 from ltvpneu.design.stability_map import Box, StabilityMap, stability_map
+from ltvpneu.design.switching.cycle import LinearizedCycle
+from ltvpneu.design.switching.duty_problem import DutyProblem, duty_problem
+from ltvpneu.design.switching.duty_solution import DutySolution
+from ltvpneu.design.switching.goals import Goals, optimize_duty
 from ltvpneu.design.valve_limits import ValveLimits
 
 __all__ = [

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu.models.linearize import LtvModel
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.mesh import cut_schedule
-from ltvpneu.models.supply_flow import source_flow, supply_flow_tangents
+from ltvpneu.models.linear.model import LtvModel
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.openings import cut_schedule
+from ltvpneu.models.machine.supply_flow import source_flow, supply_flow_tangents
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.system import PeriodicSystem
 

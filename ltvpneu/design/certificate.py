@@ -30,9 +30,9 @@ from scipy.linalg import eigh
 
 from ltvpneu._arrays import FloatArray, finite_array, read_only
 from ltvpneu._values import Value
-from ltvpneu.models.linearize import LtvModel
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.tangent import tangents
+from ltvpneu.models.linear.model import LtvModel
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.tangent import tangents
 from ltvpneu.periodic.propagate import balancing_scales
 from ltvpneu.periodic.system import PeriodicSystem
 

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite
 from ltvpneu._values import Value
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.orbit_map import OrbitMap, orbit_map
+from ltvpneu.models.cycles.orbit_map import OrbitMap, orbit_map
+from ltvpneu.models.machine.machine import Machine
 
 
 @final

@@ -16,12 +16,14 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, finite, finite_array, positive, read_only
 from ltvpneu._values import Value
 from ltvpneu.design.valve_limits import ValveLimits
-from ltvpneu.models.integrator import OK, integrate_period
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.nonlinear import DormandPrince, integration_settings, nonlinear_orbit, schedule_of, trajectory_of
-from ltvpneu.models.parameters import TOLERANCE, nonlinear_jacobians
-from ltvpneu.models.runge_kutta import Run
-from ltvpneu.models.stopped import raise_stopped
+from ltvpneu.models.cycles.sensitivity import nonlinear_jacobians
+from ltvpneu.models.cycles.turns import TOLERANCE
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.openings import schedule_of
+from ltvpneu.models.nonlinear.integrator import OK, integrate_period
+from ltvpneu.models.nonlinear.runge_kutta import Run
+from ltvpneu.models.nonlinear.simulation import DormandPrince, integration_settings, nonlinear_orbit, trajectory_of
+from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic import bridge
 
 if TYPE_CHECKING:
@@ -217,7 +219,7 @@ def simulate_closed_loop(
         n_held += made != asked
         duties[number] = valve.open_share(made, frequency)
         present = machine.with_duty(float(duties[number]))
-        schedule = schedule_of(present, period)
+        schedule = schedule_of(present.openings, period)
         outcome = integrate_period(state, Run(schedule, present.arrays, settings), True)
         if outcome.status != OK:
             raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)

@@ -18,13 +18,13 @@ from ltvpneu._arrays import BoolArray, FloatArray, read_only
 from ltvpneu._values import Value
 from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box, verified_rate
 from ltvpneu.errors import LtvpneuError
-from ltvpneu.models.attractors import attractors
-from ltvpneu.models.cycle_floquet import cycle_floquet
-from ltvpneu.models.failed_point import FailedPoint
-from ltvpneu.models.linearize import LtvModel
-from ltvpneu.models.ltv import OperatingPoints, ltv_model
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.orbit_map import MAP_SPREAD, grid_of
+from ltvpneu.models.cycles.floquet import cycle_floquet
+from ltvpneu.models.cycles.orbit_map import MAP_SPREAD, grid_of
+from ltvpneu.models.linear.ltv import OperatingPoints, ltv_model
+from ltvpneu.models.linear.model import LtvModel
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.nonlinear.attractors import attractors
+from ltvpneu.models.nonlinear.failed_point import FailedPoint
 
 SHRINKINGS = 7
 """Rounds in which the widest box with a common function is closed in on."""

@@ -19,13 +19,13 @@ from ltvpneu.face.report import LABELS, depends, multipliers_text, remarks, stud
 from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
 from ltvpneu.face.study_data import study_data
 from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
-from ltvpneu.models.attractors import attractors
-from ltvpneu.models.cycle_floquet import cycle_floquet
-from ltvpneu.models.ltv import MODES, OperatingPoints, ltv_model
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.nonlinear import nonlinear_orbit
-from ltvpneu.models.orbit_map import MAP_SPREAD
-from ltvpneu.models.variational import orbit_floquet
+from ltvpneu.models.cycles.floquet import cycle_floquet
+from ltvpneu.models.cycles.orbit_map import MAP_SPREAD
+from ltvpneu.models.linear.ltv import MODES, OperatingPoints, ltv_model
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.nonlinear.attractors import attractors
+from ltvpneu.models.nonlinear.floquet import orbit_floquet
+from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.proportional import ProportionalValve
 

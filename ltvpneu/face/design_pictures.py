@@ -13,12 +13,12 @@ from matplotlib.lines import Line2D
 
 from ltvpneu._arrays import BoolArray, FloatArray
 from ltvpneu.design.duty_map import DutyMap
-from ltvpneu.design.duty_solution import DutySolution
 from ltvpneu.design.feedback import ClosedLoop
-from ltvpneu.design.pattern import PatternSolution
+from ltvpneu.design.pattern.pattern import PatternSolution
 from ltvpneu.design.stability_map import StabilityMap
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.orbit_map import OrbitMap
+from ltvpneu.design.switching.duty_solution import DutySolution
+from ltvpneu.models.cycles.orbit_map import OrbitMap
+from ltvpneu.models.machine.machine import Machine
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.steady import steady_state
 

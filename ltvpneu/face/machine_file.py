@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, TypeVar, cast, final
 
 from ltvpneu.errors import MachineFileError
 from ltvpneu.face.units import Dimension, parse
-from ltvpneu.models.connections import FlowPath
-from ltvpneu.models.machine import Machine, Valve
+from ltvpneu.models.machine.connections import FlowPath
+from ltvpneu.models.machine.machine import Machine, Valve
 from ltvpneu.physics.cylinder import ATMOSPHERE, Cylinder
 from ltvpneu.physics.gas import Gas
 from ltvpneu.physics.inner_volume import InnerVolume

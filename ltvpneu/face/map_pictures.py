@@ -9,8 +9,8 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ltvpneu.models.orbit_map import KINDS, SAID, OrbitMap
-from ltvpneu.models.validity_map import ValidityMap
+from ltvpneu.models.cycles.orbit_map import KINDS, SAID, OrbitMap
+from ltvpneu.models.cycles.validity_map import ValidityMap
 
 PALETTE = mpl.color_sequences["petroff10"]
 GROUND = "0.85"

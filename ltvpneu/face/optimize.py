@@ -13,9 +13,9 @@ from ltvpneu.face.machine_file import nearest
 from ltvpneu.face.report import depends, heading, shown, table
 from ltvpneu.face.study_data import attractors_data
 from ltvpneu.face.units import Dimension, parse
-from ltvpneu.models.attractors import attractors
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.orbit_map import MAP_SPREAD, orbit_map
+from ltvpneu.models.cycles.orbit_map import MAP_SPREAD, orbit_map
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.nonlinear.attractors import attractors
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.physics.cylinder import ATMOSPHERE
 
@@ -108,7 +108,7 @@ def run_request(machine: Machine, request: Request, *, model: Any, globally: boo
     """Solve, with a progress bar."""
     # A lazy door: cvxpy takes a second to load, and no other command needs it.
     from ltvpneu import design
-    from ltvpneu.models.parameters import present_value, with_values
+    from ltvpneu.models.machine.parameters import present_value, with_values
 
     at = request.frequency[0] if isinstance(request.frequency, tuple) else request.frequency
 

@@ -12,14 +12,15 @@ from matplotlib.lines import Line2D
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.face.map_pictures import draw_orbit_map, draw_validity_map
-from ltvpneu.models.amplitude import AmplitudeResponse
-from ltvpneu.models.attractors import Attractors, describe
-from ltvpneu.models.linearize import LtvModel
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.orbit_map import OrbitMap
-from ltvpneu.models.parameters import ParameterSensitivity
-from ltvpneu.models.staircase import Staircase, staircase, step_means
-from ltvpneu.models.validity_map import ValidityMap
+from ltvpneu.models.cycles.amplitude import AmplitudeResponse
+from ltvpneu.models.cycles.orbit_map import OrbitMap
+from ltvpneu.models.cycles.sensitivity import ParameterSensitivity
+from ltvpneu.models.cycles.validity_map import ValidityMap
+from ltvpneu.models.linear.model import LtvModel
+from ltvpneu.models.linear.staircase import Staircase, staircase
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.openings import step_means
+from ltvpneu.models.nonlinear.attractors import Attractors, describe
 from ltvpneu.periodic.floquet import Floquet, floquet
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.system import PeriodicSystem

@@ -7,12 +7,12 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.face.study import Case, Study
-from ltvpneu.models.attractors import Attractors, describe
-from ltvpneu.models.error_estimate import ErrorEstimate
-from ltvpneu.models.failed_point import FailedPoint
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.machine_arrays import CONDUCTANCE, WALL_TEMPERATURE, temperature_place
-from ltvpneu.models.stiction_band import StictionBand
+from ltvpneu.models.linear.error_estimate import ErrorEstimate
+from ltvpneu.models.machine.arrays import CONDUCTANCE, WALL_TEMPERATURE, temperature_place
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.nonlinear.attractors import Attractors, describe
+from ltvpneu.models.nonlinear.failed_point import FailedPoint
+from ltvpneu.models.nonlinear.stiction_band import StictionBand
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.physics.liquid import Liquid

@@ -12,18 +12,18 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu._values import Value
 from ltvpneu.errors import LtvpneuError
-from ltvpneu.models.amplitude import MODELS, AmplitudeResponse, amplitude_response
-from ltvpneu.models.attractors import Attractors, attractors
-from ltvpneu.models.cycle_floquet import cycle_floquet
-from ltvpneu.models.error_estimate import ErrorEstimate
-from ltvpneu.models.linearize import LtvModel
-from ltvpneu.models.lti import lti_model
-from ltvpneu.models.ltv import OperatingPoints, ltv_model
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.nonlinear import nonlinear_orbit
-from ltvpneu.models.staircase import default_steps
-from ltvpneu.models.stiction_band import StictionBand, stiction_band
-from ltvpneu.models.variational import orbit_floquet
+from ltvpneu.models.cycles.amplitude import MODELS, AmplitudeResponse, amplitude_response
+from ltvpneu.models.cycles.floquet import cycle_floquet
+from ltvpneu.models.linear.error_estimate import ErrorEstimate
+from ltvpneu.models.linear.lti import lti_model
+from ltvpneu.models.linear.ltv import OperatingPoints, ltv_model
+from ltvpneu.models.linear.model import LtvModel
+from ltvpneu.models.linear.staircase import default_steps
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.nonlinear.attractors import Attractors, attractors
+from ltvpneu.models.nonlinear.floquet import orbit_floquet
+from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
+from ltvpneu.models.nonlinear.stiction_band import StictionBand, stiction_band
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from ltvpneu.face.report import remarks
 from ltvpneu.face.study import Case, Study
-from ltvpneu.models.attractors import Attractors
-from ltvpneu.models.error_estimate import ErrorEstimate
-from ltvpneu.models.failed_point import FailedPoint
-from ltvpneu.models.linearize import LtvModel
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.operating_points import quasi_static_turn
+from ltvpneu.models.linear.error_estimate import ErrorEstimate
+from ltvpneu.models.linear.model import LtvModel
+from ltvpneu.models.linear.operating_points import quasi_static_turn
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.nonlinear.attractors import Attractors
+from ltvpneu.models.nonlinear.failed_point import FailedPoint
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 

@@ -12,8 +12,8 @@ from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.optimize import optimum_data, optimum_text
 from ltvpneu.face.report import grouped_failures, heading, table
 from ltvpneu.face.study_data import failure_data, plain
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.orbit_map import DEPENDS
+from ltvpneu.models.cycles.orbit_map import DEPENDS
+from ltvpneu.models.machine.machine import Machine
 
 DUTIES = np.linspace(0.05, 0.95, 19)
 MAP_DUTIES, N_FREQUENCIES = np.linspace(0.1, 0.9, 13), 12

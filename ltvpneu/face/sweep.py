@@ -12,10 +12,10 @@ from tqdm import tqdm
 from ltvpneu._values import Value
 from ltvpneu.face.report import grouped_failures, table
 from ltvpneu.face.study_data import failure_data, plain
-from ltvpneu.models.ltv import OperatingPoints
-from ltvpneu.models.machine import Machine
-from ltvpneu.models.orbit_map import KINDS, Branch, OrbitMap, orbit_map
-from ltvpneu.models.validity_map import ValidityMap, validity_map
+from ltvpneu.models.cycles.orbit_map import KINDS, Branch, OrbitMap, orbit_map
+from ltvpneu.models.cycles.validity_map import ValidityMap, validity_map
+from ltvpneu.models.linear.ltv import OperatingPoints
+from ltvpneu.models.machine.machine import Machine
 
 LARGEST = sys.float_info.max
 MOST_SHOWN = 5

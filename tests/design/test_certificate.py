@@ -7,7 +7,7 @@ from scipy.linalg import expm
 import ltvpneu as lp
 from ltvpneu import design
 from ltvpneu.design.certificate import verified_rate
-from ltvpneu.models.linearize import areas_at
+from ltvpneu.models.linear.linearize import areas_at
 
 
 def holds(certificate):

@@ -12,16 +12,16 @@ from scipy.integrate import solve_ivp
 
 import ltvpneu as lp
 from ltvpneu.errors import CavitationError, GasRangeError
-from ltvpneu.models.dynamics import state_rate
-from ltvpneu.models.linearize import areas_at
-from ltvpneu.models.machine_arrays import N_INPUTS
-from ltvpneu.models.quasi_static import settled_states
-from ltvpneu.models.staircase import staircase
-from ltvpneu.models.tangent import state_tangent
+from ltvpneu.models.linear.linearize import areas_at
+from ltvpneu.models.linear.staircase import staircase
+from ltvpneu.models.machine.arrays import N_INPUTS
+from ltvpneu.models.machine.dynamics import state_rate
+from ltvpneu.models.machine.quasi_static import settled_states
+from ltvpneu.models.machine.tangent import state_tangent
 from ltvpneu.physics.gas import GasState
 from ltvpneu.physics.medium import path_flow, path_flow_slopes
 from tests.conftest import EXTENSIONS, MACHINES
-from tests.models.test_linearize import differences, input_differences, rate, relative_error
+from tests.models.linear.test_linearize import differences, input_differences, rate, relative_error
 from tests.models.twin import rods
 
 GAS = {name: machine for name, machine in EXTENSIONS.items() if not isinstance(machine.gas, lp.Liquid)}

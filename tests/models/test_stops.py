@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import ltvpneu as lp
-from ltvpneu.models.parameters import nonlinear_jacobians
+from ltvpneu.models.cycles.sensitivity import nonlinear_jacobians
 from tests.conftest import EXTENSIONS
 
 MACHINES = Path(__file__).parents[1] / "reference" / "machines"

@@ -1,0 +1,1 @@
+"""Constant inputs and offsets, chosen by an optimizer."""

@@ -1,0 +1,1 @@
+"""Whole switching patterns, chosen by an optimizer."""

@@ -1,0 +1,1 @@
+"""Duties and edges of the valves, chosen by an optimizer."""

@@ -1,0 +1,94 @@
+"""What a design of switching angles ended with."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+from ltvpneu._values import Value
+from ltvpneu.models.linear.model import LtvModel
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.nonlinear.attractors import Attractors, attractors
+from ltvpneu.periodic.orbit import Orbit
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class DutySolution(Value):
+    """What a design of switching angles ended with."""
+
+    status: str
+    """Of the model that was designed on; whether the nonlinear machine keeps the goals, `broken` says. "optimal":
+    stationary, all constraints kept. "infeasible": no setting that was found keeps them; this is the nearest, by what
+    each goal ranges over, those that some setting keeps by itself first, equations before bounds. "edge": better
+    settings next to this one have no cycle, as where stiction locks. "stopped": out of iterations, or where the
+    residual stays large."""
+    values: dict[str, float]
+    """Of the variables."""
+    objective: float
+    """Of the model that was designed on; nan where infeasible."""
+    constraints: dict[str, float]
+    """By how much each is broken on that model, in its own unit; 0 where it is kept."""
+    nonlinear_constraints: dict[str, float]
+    """The same on the nonlinear machine; nan where that has no cycle."""
+    tolerances: dict[str, float]
+    """By how much the nonlinear machine may break each goal and still counts as keeping it, in its own unit: a
+    hundredth of the larger of its two sides there, or a thousandth of what these differ by over the settings looked at,
+    if that is more."""
+    nonlinear_objective: float
+    """The same on the nonlinear machine; nan where it has no cycle, or where infeasible."""
+    duals: dict[str, float]
+    """Of the constraints: how fast the objective gets better as an inequality's bound is loosened, never below zero, or
+    as the right side of an equation rises, in its own unit."""
+    active: tuple[str, ...]
+    """Constraints, and bounds of variables, that hold the design."""
+    residual: float
+    """Of the conditions of optimality, scaled [-]: the longest of the step that the convex problem with unit curvature
+    still takes, the constraints' violation, and their duals times what is left to their bounds."""
+    at_kink: bool
+    """Whether the optimum lies on a kink of the model, as where the piston begins to rest within its cycle: then the
+    residual is that of the slopes on both sides, mixed."""
+    merits: tuple[tuple[float, float], ...]
+    """Objective plus penalties before and after every step taken, each pair with the same penalty."""
+    n_cycles: int
+    """Cycles computed with derivatives."""
+    n_failed: int
+    """Settings tried where the model had no cycle."""
+    spectral_radius: float
+    """Of the cycle, the refit included: below one it is stable."""
+    machine: Machine
+    """As designed."""
+    frequency: float
+    """[Hz]"""
+    commands: tuple[tuple[float, float], ...]
+    """When to tell the valve to go on and off, each pulse, delays counted in [s]; below zero, in the period before."""
+    model: LtvModel | None
+    """The linear model designed on, if it was one."""
+    scenario_machines: dict[str, Machine]
+    """As designed, in every scenario."""
+    nonlinear: dict[str, Orbit | str]
+    """Cycle of the nonlinear machine in every scenario, or why it has none."""
+    lower_bound: float = math.nan
+    """Where the search was global: no setting makes the objective better, as far as the estimated curvature between the
+    settings looked at holds; see `global_search`."""
+    corrected: "DutySolution | None" = None
+    """The same problem solved from here on the nonlinear machine, where that was asked for."""
+    not_corrected: str = ""
+    """Why it was not, where that was asked for."""
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name} {value:.6g}" for name, value in self.values.items())
+        broken = f"; the machine breaks {', '.join(self.broken)}" if self.broken else ""
+        figures = f"objective {self.objective:.6g}, {shown}, residual {self.residual:.1e}"
+        return f"<DutySolution: {self.status}, {figures}{broken}>"
+
+    @cached_property
+    def attractors(self) -> Attractors:
+        """What the nonlinear machine, as designed, settles on from different starts."""
+        return attractors(self.machine, self.frequency)
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """Goals that the nonlinear machine breaks by more than `tolerances`, or has no cycle to keep them with."""
+        missed = self.nonlinear_constraints
+        return tuple(name for name, by in missed.items() if not by <= self.tolerances[name])

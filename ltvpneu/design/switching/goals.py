@@ -1,0 +1,248 @@
+"""Duty cycle, offset and frequency for a wanted motion: the usual goals, written down for `duty_problem`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from typing import Any, final
+
+import cvxpy as cp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ltvpneu._arrays import finite, finite_array
+from ltvpneu._values import Value
+from ltvpneu.design.switching.cycle import LinearizedCycle
+from ltvpneu.design.switching.duty_problem import NOMINAL, DutyProblem, ModelKind, Scenario, duty_problem
+from ltvpneu.design.switching.duty_solution import DutySolution
+from ltvpneu.design.switching.duty_variables import Bounds
+from ltvpneu.design.switching.starts import Progress
+from ltvpneu.design.valve_limits import ValveLimits
+from ltvpneu.errors import LtvpneuError
+from ltvpneu.models.machine.machine import Machine
+
+Wanted = float | tuple[float | None, float | None]
+"""A value, or the least and the greatest one, None for no bound."""
+
+
+OBJECTIVES = ("amplitude", "air_use", "mean_error", "tracking", "switching")
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Goals(Value):
+    """What is wanted of a cycle, by state; SI units.
+
+    Parameters
+    ----------
+    mean : mapping of str to float or (float or None, float or None)
+        Time means: a value, which holds for the machine as it is, or bounds, which hold in every scenario.
+    amplitude : mapping likewise
+        Half peak-to-peak: one value is the most.
+    maximum, minimum : mapping of str to float
+        Upper bound of the greatest, lower bound of the least value, in every scenario.
+    air_use : float, optional
+        The most mass flow from the supply, mean [kg/s].
+    cycle : mapping of str to (array_like, array_like), optional
+        A wanted cycle: angles [rad] and a state's values there, for `minimize="tracking"`.
+    """
+
+    mean: Mapping[str, Wanted] | None = None
+    amplitude: Mapping[str, Wanted] | None = None
+    maximum: Mapping[str, float] | None = None
+    minimum: Mapping[str, float] | None = None
+    air_use: float | None = None
+    cycle: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None
+
+
+def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
+    machine: Machine,
+    frequency: float | Bounds,
+    variables: Mapping[str, Bounds] | None = None,
+    *,
+    minimize: str = "amplitude",
+    goals: Goals | None = None,
+    mean: Mapping[str, Wanted] | None = None,
+    amplitude: Mapping[str, Wanted] | None = None,
+    scenarios: Mapping[str, Scenario] | None = None,
+    valve: ValveLimits | None = None,
+    model: ModelKind = "fitted",
+    steps_per_position: int = 1,
+    globally: bool = False,
+    correct: bool = False,
+    progress: Progress | None = None,
+) -> DutySolution:
+    """Return the duty, or other switching angles, frequency and pressures, that reach a wanted motion best.
+
+    For an objective or constraints of your own, see `duty_problem`.
+
+    Parameters
+    ----------
+    machine : Machine
+    frequency : float or (float, float)
+        Switching frequency [Hz], or bounds of it.
+    variables : mapping of str to (float, float), optional
+        Bounds of what is free, as of `duty_problem`; by default the duty, or the edges of several pulses.
+    minimize : str
+        "amplitude", of the position or as "amplitude pressure_1"; "air_use"; "mean_error", the square of the distance
+        from the wanted means; "tracking", the mean square distance from the wanted cycle; "switching", how often the
+        valve switches. In several scenarios, the worst one's.
+    goals : Goals, optional
+        What is wanted.
+    mean, amplitude : mapping, optional
+        The two most usual goals, as of `Goals`.
+    scenarios, valve
+        As of `duty_problem`.
+    model, steps_per_position, globally, progress
+        As of `DutyProblem.solve`.
+    correct : bool
+        Go on from the linear model's optimum on the nonlinear machine; the result is in `.corrected`, or why there is
+        none, as where stiction holds the machine there, in `.not_corrected`.
+
+    Returns
+    -------
+    DutySolution
+
+    Raises
+    ------
+    ValueError
+        Unknown signals, variables or objectives; bounds that contradict each other.
+    LtvpneuError
+        No setting looked at has a cycle.
+
+    Examples
+    --------
+    45 mm with less than 4 mm of ripple, for the least air:
+
+    >>> import ltvpneu as lp
+    >>> from ltvpneu import design
+    >>> found = design.optimize_duty(
+    ...     lp.load_machine("kunt_singh_1990"), (6.0, 18.0), mean={"position": 0.045}, amplitude={"position": 4e-3},
+    ...     minimize="air_use")
+    >>> print(found.status, f"{found.frequency:.1f} Hz, duty {found.values['duty']:.3f}")
+    optimal 14.5 Hz, duty 0.424
+    >>> print(f"nonlinear: {1e3 * found.nonlinear['nominal'].mean('position'):.1f} mm")
+    nonlinear: 45.0 mm
+    """
+    goals = Goals() if goals is None else goals
+    goals = replace(
+        goals,
+        mean={**(goals.mean or {}), **(mean or {})},
+        amplitude={**(goals.amplitude or {}), **(amplitude or {})},
+    )
+    minimize = str(minimize).strip()
+    if goals.cycle and minimize != "tracking":
+        raise ValueError(f'goals: found a wanted cycle with minimize={minimize!r}, expected minimize="tracking"')
+    problem = duty_problem(machine, frequency, variables, scenarios=scenarios, valve=valve)
+    constraints = _constraints(problem, goals, minimize)
+    objective = cp.Minimize(_objective(problem, goals, minimize))
+    found = problem.solve(
+        objective,
+        constraints,
+        model=model,
+        steps_per_position=steps_per_position,
+        globally=globally,
+        progress=progress,
+    )
+    if not correct or model == "nonlinear":
+        return found
+    try:
+        corrected = problem.solve(objective, constraints, model="nonlinear", start=found.values, progress=progress)
+    except (LtvpneuError, ValueError) as error:
+        return replace(found, not_corrected=str(error))
+    return replace(found, corrected=corrected)
+
+
+def _objective(problem: DutyProblem, goals: Goals, minimize: str) -> Any:
+    kind, _, signal = str(minimize).partition(" ")
+    if kind not in OBJECTIVES or (signal and kind != "amplitude"):
+        near = get_close_matches(str(minimize), OBJECTIVES, 1, 0.4)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"minimize: found {minimize!r}, expected one of {', '.join(OBJECTIVES)}{hint}")
+    if kind == "switching":
+        return problem.switching()
+    if kind == "mean_error" and not goals.mean:
+        raise ValueError('minimize: found "mean_error" without wanted means; give mean={"position": ...}')
+    if kind == "tracking" and not goals.cycle:
+        raise ValueError('minimize: found "tracking" without a wanted cycle; give goals=Goals(cycle=...)')
+
+    def of(cycle: LinearizedCycle) -> Any:
+        if kind == "amplitude":
+            return cycle.amplitude(signal or "position")
+        if kind == "air_use":
+            return cycle.air_use()
+        if kind == "mean_error":
+            return sum(_mean_error(cycle, name, wanted) for name, wanted in (goals.mean or {}).items())
+        return sum(_distance(cycle, name, *wanted) for name, wanted in (goals.cycle or {}).items())
+
+    return cp.maximum(*found) if len(found := [of(c) for c in problem.scenarios.values()]) > 1 else found[0]
+
+
+def _mean_error(cycle: LinearizedCycle, signal: str, wanted: Wanted) -> Any:
+    mean, size = cycle.mean(signal), cycle.size(signal)
+    low, high = wanted_bounds(f"mean[{signal!r}]", wanted)
+    if low is not None and low == high:
+        return cp.square((mean - low) / size)
+    over = 0 if high is None else cp.square(cp.pos((mean - high) / size))
+    under = 0 if low is None else cp.square(cp.pos((low - mean) / size))
+    return over + under
+
+
+def _distance(cycle: LinearizedCycle, signal: str, angles: ArrayLike, values: ArrayLike) -> Any:
+    places = finite_array(f"cycle[{signal!r}]: angles", np.asarray(angles, dtype=np.float64), (None,))
+    wanted = finite_array(f"cycle[{signal!r}]: values", np.asarray(values, dtype=np.float64), places.shape)
+    return cp.sum_squares((cycle.at(signal, places) - wanted) / cycle.size(signal)) / places.size
+
+
+def _constraints(problem: DutyProblem, goals: Goals, minimize: str) -> dict[str, cp.Constraint]:
+    found: dict[str, Any] = {}
+    for name, cycle in problem.scenarios.items():
+        where = "" if name == NOMINAL else f", {name}"
+        for signal, wanted in (goals.mean or {}).items():
+            if minimize == "mean_error":
+                break
+            low, high = wanted_bounds(f"mean[{signal!r}]", wanted)
+            if not isinstance(wanted, tuple):
+                if name == NOMINAL:
+                    found[f"mean {signal}"] = cycle.mean(signal) == low
+                continue
+            _between(found, f"mean {signal}", where, (cycle.mean(signal), cycle.mean(signal)), (low, high))
+        for signal, wanted in (goals.amplitude or {}).items():
+            low, high = wanted_bounds(f"amplitude[{signal!r}]", wanted if isinstance(wanted, tuple) else (None, wanted))
+            sides = cycle.affine_amplitude(signal) if low is not None else None, cycle.amplitude(signal)
+            _between(found, f"amplitude {signal}", where, sides, (low, high))
+        for signal, high in (goals.maximum or {}).items():
+            found[f"maximum {signal}{where}"] = cycle.maximum(signal) <= finite(f"maximum[{signal!r}]", high)
+        for signal, low in (goals.minimum or {}).items():
+            found[f"minimum {signal}{where}"] = cycle.minimum(signal) >= finite(f"minimum[{signal!r}]", low)
+            if signal in (goals.maximum or {}) and (goals.maximum or {})[signal] < low:
+                raise ValueError(
+                    f"minimum, maximum: found at least {low:g} and at most {(goals.maximum or {})[signal]:g} for "
+                    f"{signal!r}; they contradict each other"
+                )
+        if goals.air_use is not None:
+            found[f"air_use{where}"] = cycle.air_use() <= finite("air_use", goals.air_use, "kg/s")
+    return found
+
+
+def _between(
+    found: dict[str, Any], name: str, where: str, sides: tuple[Any, Any], bounds: tuple[float | None, float | None]
+) -> None:
+    low, high = bounds
+    if low is not None:
+        found[f"least {name}{where}"] = sides[0] >= low
+    if high is not None:
+        found[f"most {name}{where}" if low is not None else f"{name}{where}"] = sides[1] <= high
+
+
+def wanted_bounds(name: str, wanted: Any) -> tuple[float | None, float | None]:
+    """Return the least and the greatest value that are wanted, equal where it is one value."""
+    if not isinstance(wanted, tuple):
+        value = finite(name, wanted)
+        return value, value
+    pair: tuple[Any, ...] = wanted
+    if len(pair) != 2 or pair == (None, None):
+        raise ValueError(f"{name}: found {wanted!r}, expected a number, or the least and the greatest value")
+    low, high = (None if value is None else finite(name, value) for value in pair)
+    if low is not None and high is not None and low > high:
+        raise ValueError(f"{name}: found at least {low:g} and at most {high:g}; they contradict each other")
+    return low, high

@@ -1,0 +1,136 @@
+"""Where to start a search: a look at many settings, closer where figures jump or bend."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import qmc
+
+from ltvpneu._arrays import BoolArray, FloatArray, IntArray
+from ltvpneu.design.switching.subproblem import Search, within_limits
+from ltvpneu.errors import LtvpneuError
+
+Progress = Callable[[str, float], object]
+
+
+REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
+"""Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
+span, from which they are, and settings looked at at most."""
+
+
+RANKED_BY = (10.0, 300.0, 1e4)
+"""Penalties by which settings to start from are ranked."""
+
+
+STARTS_EACH = 3
+"""Settings started from at most, by each ranking."""
+
+
+def best_starts(search: Search, own: FloatArray, count: int, progress: Progress | None) -> list[FloatArray]:
+    """Return a few settings to start from, the best first, among one's own and a grid's or a Sobol sequence's.
+
+    Of one or two settings, those that are better than their neighbours on the grid; by the merit with low and high
+    penalties, as a setting that keeps the constraints may lie far from one that nearly does. A grid of one
+    setting is made finer where figures jump or bend, as where the cycle changes its kind.
+    """
+    p = own.size
+    side = max(round(count ** (1 / p)), 2)
+    if p > 2:
+        points = qmc.Sobol(p, rng=0).random(count) if count else np.zeros((0, p))
+    else:
+        points = np.stack(np.meshgrid(*[np.linspace(0, 1, side)] * p, indexing="ij"), axis=-1).reshape(-1, p)
+    looks = [_look(search, own)]
+    for number, setting in enumerate(points):
+        if progress is not None:
+            progress("looking at settings", number / len(points))
+        looks.append(_look(search, setting))
+    if p == 1:
+        looks[1:] = _refined(search, looks[1:], progress)
+    if not any(np.isfinite(look.merits).all() for look in looks):
+        if search.reason is not None:
+            raise search.reason
+        return [own]
+    shape = (side,) * p if p == 2 else (len(looks) - 1,)
+    chosen: list[int] = []
+    for column in range(len(RANKED_BY)):
+        merits = np.array([look.merits[column] for look in looks])
+        good = [int(i) for i in np.argsort(merits) if np.isfinite(merits[i])]
+        if p <= 2:
+            lowest = _lower_than_neighbours(merits[1:].reshape(shape))
+            good = [i for i in good if i == 0 or lowest.ravel()[i - 1]]
+        chosen += [i for i in good[:STARTS_EACH] if i not in chosen]
+    return [looks[i].setting for i in chosen]
+
+
+def starts_with_slopes(search: Search) -> list[FloatArray]:
+    """Return a few of the settings looked at from which a search can begin, those that break the constraints least.
+
+    For where the best of them have no slopes, as where a valve's ramps meet.
+    """
+    chosen: list[FloatArray] = []
+    for one in sorted(search.noted, key=search.subproblem.distance):
+        if len(chosen) < STARTS_EACH and search.with_slopes(one.setting) is not None:
+            chosen.append(one.setting)
+    return chosen
+
+
+class _Look(NamedTuple):
+    """What a setting looks like; infinite merits and no values where it has no cycle."""
+
+    setting: FloatArray
+    merits: tuple[float, ...]
+    """With each of the penalties of `RANKED_BY`."""
+    values: FloatArray
+
+
+def _look(search: Search, setting: FloatArray) -> _Look:
+    sub, nothing = search.subproblem, _Look(setting, (np.inf,) * len(RANKED_BY), np.zeros(0))
+    figures = search.figures(setting) if within_limits(sub.task, setting) else None
+    if figures is None:
+        return nothing
+    try:
+        sub.scale(setting, figures)
+    except (LtvpneuError, ValueError):
+        # No derivatives, as where switching instants change their order.
+        return nothing
+    search.note(setting, figures)
+    merits = tuple(sub.merit(setting, figures, penalty)[0] for penalty in RANKED_BY)
+    return _Look(setting, merits, np.concatenate([one.values for one in figures]) if figures else np.zeros(1))
+
+
+def _refined(search: Search, looks: list[_Look], progress: Progress | None) -> list[_Look]:
+    """Return looks along one setting with those between that a jump, a bend or the end of all cycles asks for."""
+    for number in range(REFINEMENTS if any(look.values.size for look in looks) else 0):
+        rough = _rough_intervals(looks)
+        if len(looks) + rough.size > MOST_LOOKS:
+            break
+        if progress is not None:
+            progress("looking closer where figures jump", number / REFINEMENTS)
+        for i in rough[::-1].tolist():
+            looks.insert(i + 1, _look(search, 0.5 * (looks[i].setting + looks[i + 1].setting)))
+    return looks
+
+
+def _rough_intervals(looks: Sequence[_Look]) -> IntArray:
+    """Return the numbers of the intervals over which values cannot be trusted to go on as they do beside."""
+    m = max(look.values.size for look in looks)
+    values = np.array([look.values if look.values.size else np.full(m, np.nan) for look in looks])
+    places = np.array([look.setting[0] for look in looks])
+    known = np.logical_and.reduce(np.isfinite(values), axis=1)
+    spans = np.ptp(values[known], axis=0) if known.any() else np.zeros(m)
+    slopes = np.diff(values, axis=0) / np.diff(places)[:, None]
+    widths = np.minimum(places[1:-1] - places[:-2], places[2:] - places[1:-1])
+    # What a straight line through two neighbours would be off by.
+    off = np.nan_to_num(np.abs(np.diff(slopes, axis=0)) * widths[:, None] / np.maximum(spans, 1e-300))
+    bent = np.concatenate([[False], off.max(axis=1) > ROUGH, [False]])
+    return np.flatnonzero((known[:-1] != known[1:]) | ((bent[:-1] | bent[1:]) & known[:-1] & known[1:]))
+
+
+def _lower_than_neighbours(values: FloatArray) -> BoolArray:
+    padded = np.pad(values, 1, constant_values=np.inf)
+    lowest = np.isfinite(values)
+    middle = (slice(1, -1),) * values.ndim
+    for axis in range(values.ndim):
+        for shift in (-1, 1):
+            lowest &= values <= np.roll(padded, shift, axis)[middle]
+    return lowest

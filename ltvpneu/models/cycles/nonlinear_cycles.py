@@ -1,0 +1,146 @@
+"""Figures of the nonlinear machine's cycle and their derivatives: the counterpart of `LinearCycles`.
+
+By central differences of one turn, integrated at a tolerance of 1e-10, and the implicit function theorem for the
+cycle's start. Slower than the linear model's, and the judge of it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import final
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu.errors import LtvpneuError, NonUniqueOrbitError
+from ltvpneu.models.cycles.figures import CycleFigures, Figure, Slopes
+from ltvpneu.models.cycles.turns import TOLERANCE, nonlinear_turn, slopes_along_turn
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.parameters import with_values
+from ltvpneu.models.machine.supply_flow import source_flow
+from ltvpneu.models.nonlinear.integrator import Record
+from ltvpneu.models.nonlinear.polynomial import polynomial_extremes
+from ltvpneu.models.nonlinear.simulation import DormandPrince, nonlinear_orbit, trajectory_of
+from ltvpneu.periodic.orbit import Orbit
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+@final
+class NonlinearCycles:
+    """Cycles of the nonlinear machine, one per setting of its parameters.
+
+    Parameters
+    ----------
+    machine : Machine
+    frequency : float
+        Where it is no parameter [Hz].
+    change : callable, optional
+        What is made of the machine once its parameters are set: a scenario.
+    """
+
+    def __init__(self, machine: Machine, frequency: float, change: Callable[[Machine], Machine] | None = None) -> None:
+        self.machine, self.frequency, self._change = machine, frequency, change
+        self._start: FloatArray | None = None
+
+    def _changed(self, machine: Machine) -> Machine:
+        return machine if self._change is None else self._change(machine)
+
+    def orbit(self, values: Mapping[str, float]) -> Orbit:
+        """Return the cycle at a setting of the parameters; errors as of `nonlinear_orbit`."""
+        machine = self._changed(with_values(self.machine, values))
+        frequency = float(values.get("frequency", self.frequency))
+        method = DormandPrince(rtol=TOLERANCE)
+        if self._start is not None:
+            try:
+                orbit = nonlinear_orbit(machine, frequency, self._start, method=method)
+                if orbit.is_isolated:
+                    self._start = orbit.initial_state
+                    return orbit
+            except LtvpneuError:
+                pass
+        # Where it rests depends on how it came there: then, and after a failure, from the machine's own rest.
+        orbit = nonlinear_orbit(machine, frequency, method=method)
+        self._start = orbit.initial_state
+        return orbit
+
+    def figures(
+        self, values: Mapping[str, float], figures: Sequence[Figure], parameters: Sequence[str]
+    ) -> CycleFigures:
+        """Return a cycle's figures and their derivatives.
+
+        Raises
+        ------
+        NonUniqueOrbitError
+            Stiction holds the piston all the time.
+        LtvpneuError
+            As of `nonlinear_orbit`.
+        """
+        plain, frequency = with_values(self.machine, values), float(values.get("frequency", self.frequency))
+        machine = self._changed(plain)
+        orbit = self.orbit(values)
+        if not orbit.is_isolated:
+            free = np.zeros((len(machine.states), 1))
+            free[0] = 1.0
+            raise NonUniqueOrbitError(
+                f"at {frequency:g} Hz and duty {machine.duty:.4g} stiction holds the piston all the time: where it "
+                "rests is not decided by the switching (see lp.stiction_band)",
+                least_norm=orbit.initial_state,
+                free_directions=free,
+            )
+
+        def of_turn(start: FloatArray, plain: Machine, frequency: float) -> FloatArray:
+            machine = self._changed(plain)
+            end, record = nonlinear_turn(start, machine, frequency, orbit.n_periods)
+            return np.append(end, [_figure(record, machine, frequency, figure) for figure in figures])
+
+        start, n = orbit.initial_state.copy(), len(machine.states)
+
+        def differentiate() -> Slopes:
+            by_state, by_parameter = slopes_along_turn(of_turn, (plain, frequency, start), parameters)
+            scales = machine.state_scales
+            maps = by_state[:n] * scales / scales[:, None]
+            by_start = scales[:, None] * np.linalg.solve(np.eye(n) - maps, by_parameter[:n] / scales[:, None])
+            radius = float(np.max(np.abs(np.linalg.eigvals(maps))))
+            return Slopes(by_parameter[n:] + by_state[n:] @ by_start, radius)
+
+        return CycleFigures(
+            machine=machine,
+            frequency=frequency,
+            values=of_turn(start, plain, frequency)[n:],
+            initial_state=start,
+            differentiate=differentiate,
+        )
+
+
+def _figure(record: Record, machine: Machine, frequency: float, asked: Figure) -> float:
+    kind, state, angle, piece = asked
+    if kind == "mean":
+        return float(trajectory_of(record).means()[state])
+    if kind == "at":
+        return float(trajectory_of(record).at(np.array([angle / (2 * np.pi) / frequency]))[state, 0])
+    if kind == "air_use":
+        return _mass_drawn(record, machine, frequency) / float(np.sum(record.spans))
+    n_pieces = machine.openings.fractions.size - 1
+    # Where edges have changed their order there may be fewer pieces than there were.
+    within = record.pieces % n_pieces == piece if 0 <= piece < n_pieces else slice(None)
+    low, high = polynomial_extremes(record.coefficients[within, :, state].copy(), record.spans[within].copy())
+    return high if kind == "maximum" else low
+
+
+def _mass_drawn(record: Record, machine: Machine, frequency: float) -> float:
+    """Return the mass drawn from the supply [kg]."""
+    table = machine.openings
+    pieces = record.pieces % (table.fractions.size - 1)
+    local = 0.5 * (_NODES + 1) * record.spans[:, None]
+    states = np.einsum("itk,ikn->itn", local[:, :, None] ** np.arange(5), record.coefficients)
+    turn = np.mod(record.starts * frequency + 1e-12, 1.0)[:, None] + local * frequency
+    share = (turn - table.fractions[pieces, None]) / np.diff(table.fractions)[pieces, None]
+    begin, end = table.areas[pieces][:, None, (0, 2)], table.areas[pieces][:, None, (1, 3)]
+    with np.errstate(invalid="ignore"):
+        areas = np.where(begin == end, begin, begin + share[:, :, None, None] * (end - begin))
+    flows = source_flow(
+        np.ascontiguousarray(states.reshape(-1, states.shape[2])),
+        np.ascontiguousarray(areas.reshape(-1, *areas.shape[2:])),
+        True,
+        machine.arrays,
+    )
+    return float((0.5 * _WEIGHTS * record.spans[:, None]).ravel() @ flows)

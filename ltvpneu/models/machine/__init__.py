@@ -1,0 +1,1 @@
+"""What a machine is, and its equations; knows nothing of periodic systems."""

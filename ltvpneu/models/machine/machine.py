@@ -1,0 +1,416 @@
+"""A machine: medium, cylinder, load, flow paths and valve, as one checked value.
+
+Which volume feeds which through what opening is data, so single- and double-acting cylinders, 2/2, 3/2 and 5/2 valves,
+rotary valves, bleed orifices and leakage past the piston are the same code.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, final
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray, not_negative, positive, read_only
+from ltvpneu._values import Value
+from ltvpneu.models.machine.arrays import EXHAUST, INPUTS, SUPPLY, LoadConstants, MachineArrays
+from ltvpneu.models.machine.connections import (
+    COLLAPSES,
+    SOURCES,
+    Collapse,
+    Connection,
+    FlowPath,
+    check_ways,
+    through_valve,
+)
+from ltvpneu.models.machine.openings import OpeningTable, opening_table
+from ltvpneu.physics.cylinder import ATMOSPHERE, Cylinder
+from ltvpneu.physics.gas import Gas, GasState
+from ltvpneu.physics.inner_volume import InnerVolume
+from ltvpneu.physics.liquid import Liquid
+from ltvpneu.physics.load import Load
+from ltvpneu.physics.medium import LAMINAR, Medium, MediumArrays, check_process, warn_if_cold
+from ltvpneu.physics.proportional import Command, ProportionalValve
+from ltvpneu.physics.real_gas import RealGas
+from ltvpneu.physics.thermal import EnergyBalance
+from ltvpneu.physics.valve import OnOffValve, RotaryValve
+
+Valve = RotaryValve | OnOffValve | ProportionalValve
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Machine(Value):
+    """A drive, pneumatic or hydraulic, switched by an on-off valve or moved by a proportional one.
+
+    Parameters
+    ----------
+    name : str
+    supply_pressure, exhaust_pressure : float
+        p_3, p_4 [Pa, absolute].
+    ambient_pressure : float
+        Of the air around the machine [Pa, absolute]. It pushes on rods, and on the side of the piston that is no
+        chamber.
+    cylinder : Cylinder
+    load : Load
+    valve : RotaryValve, OnOffValve or ProportionalValve
+    flow_paths : tuple of FlowPath
+        Paths beside the ports of a rotary valve; all of them where the valve is of another kind.
+    gas : Gas, RealGas or Liquid
+        The medium.
+    more_valves : tuple of OnOffValve
+        Further valves, of flow paths that name them by number; all turn at the same frequency.
+    collapse : {"minimum", "in_series", "dynamic"}
+        How the inner volume of a rotary valve is collapsed to a point: by the smaller effective area (2), or by solving
+        for the pressure between two restrictions that pass the same flow. "dynamic" keeps it as a volume of its own,
+        with a pressure of its own, of the size that the valve's `inner_volumes` give.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> machine = lp.load_machine("kunt_singh_1990").with_duty(0.3).with_supply_pressure(5e5)
+    >>> machine.duty, machine.states
+    (0.3, ('position', 'velocity', 'pressure_1'))
+    """
+
+    name: str
+    supply_pressure: float
+    exhaust_pressure: float
+    cylinder: Cylinder
+    load: Load
+    valve: Valve
+    flow_paths: tuple[FlowPath, ...] = ()
+    gas: Medium = Gas()  # noqa: RUF009 - a frozen value
+    more_valves: tuple[OnOffValve | ProportionalValve, ...] = ()
+    collapse: Collapse = "minimum"
+    ambient_pressure: float = ATMOSPHERE
+
+    def __post_init__(self) -> None:
+        positive("exhaust_pressure", self.exhaust_pressure, "Pa")
+        not_negative("ambient_pressure", self.ambient_pressure, "Pa")
+        positive("supply_pressure", self.supply_pressure, "Pa")
+        if self.supply_pressure < self.exhaust_pressure:
+            raise ValueError(
+                f"supply_pressure: found {self.supply_pressure:g} Pa, below the exhaust pressure "
+                f"{self.exhaust_pressure:g} Pa; expected both absolute (a gauge pressure is written with the suffix "
+                "(g), as in '3.1 bar(g)')"
+            )
+        if self.collapse not in COLLAPSES:
+            raise ValueError(f'collapse: found {self.collapse!r}, expected "minimum", "in_series" or "dynamic"')
+        self._check_connections()
+        self._check_medium()
+
+    def _check_connections(self) -> None:
+        for path in self.flow_paths:
+            if path.valve > len(self.more_valves):
+                raise ValueError(
+                    f"flow_paths: found a path of valve {path.valve}, expected 0 to {len(self.more_valves)}, as there "
+                    f"are {len(self.more_valves)} more_valves"
+                )
+            for end in (path.chamber, path.source):
+                if end not in (*self.cylinder.chambers, *(SOURCES if end is path.source else ())):
+                    raise ValueError(
+                        f"flow_paths: found a path to {end!r}, expected one of the cylinder's chambers: "
+                        f"{', '.join(self.cylinder.chambers)}"
+                    )
+        if self.collapse != "minimum" and not isinstance(self.valve, RotaryValve):
+            raise ValueError(
+                f'collapse: found "{self.collapse}" of a valve without inner volumes, expected "minimum", or a rotary '
+                "valve"
+            )
+        if isinstance(self.valve, RotaryValve):
+            check_ways(self.valve, self.collapse, self.cylinder.chambers)
+        fed = {end for connection in self.connections for end in (connection.chamber, connection.source)}
+        for chamber in self.cylinder.chambers:
+            if chamber not in fed:
+                raise ValueError(
+                    f"flow_paths: no path leads to {chamber}, expected at least one; leave out "
+                    f"dead_volume_{chamber[-1]} where that side is open to the ambient"
+                )
+
+    def _check_medium(self) -> None:
+        gas, cylinder = self.gas, self.cylinder
+        warn_if_cold("gas.temperature", gas.temperature)
+        processes = [
+            *((f"cylinder.polytropic_exponent_{name[-1]}", *cylinder.process(name)) for name in cylinder.chambers),
+            *((f"valve.inner_volumes: {v.name}", v.polytropic_exponent, v.energy_balance) for v in self.inner_volumes),
+        ]
+        for name, exponent, balance in processes:
+            check_process(name, exponent, balance, gas)
+        if isinstance(gas, Liquid) and self.exhaust_pressure <= gas.vapor_pressure:
+            raise ValueError(
+                f"exhaust_pressure: found {self.exhaust_pressure:g} Pa, not above the liquid's vapor pressure "
+                f"{gas.vapor_pressure:g} Pa: it would cavitate; expected more (pressures are absolute)"
+            )
+        if isinstance(gas, RealGas):
+            gas.expect_inside("supply_pressure", self.supply_pressure)
+            gas.expect_inside("exhaust_pressure", self.exhaust_pressure)
+
+    # What a user turns
+    # -------------------------------------------------------------------------------------------------
+
+    def with_duty(self, duty: float) -> "Machine":
+        """Return the machine with the open window [0, 2 pi duty], 0 <= duty <= 1, whatever the valve's geometry."""
+        return replace(self, valve=self.valve.with_duty(duty))
+
+    def with_offset(self, offset_angle: float) -> "Machine":
+        """Return the machine with offset angle theta_s [rad] between the valve's stator and housing.
+
+        Raises
+        ------
+        ValueError
+            The valve is not a rotary one, or the angle lies outside -pi to pi.
+        """
+        if not isinstance(self.valve, RotaryValve):
+            raise ValueError("with_offset: found an on-off valve, expected a rotary valve; use with_duty")
+        return replace(self, valve=self.valve.with_offset(offset_angle))
+
+    def with_pulses(self, pulses: Sequence[tuple[float, float]]) -> "Machine":
+        """Return the machine with its valve on from angle to angle [rad], once or several times a turn.
+
+        Parameters
+        ----------
+        pulses : sequence of (float, float)
+            Where each pulse opens and closes, rising; the last may close past the end of the turn.
+
+        Raises
+        ------
+        ValueError
+            The angles do not rise, or go round more than once.
+        """
+        return replace(self, valve=self.valve.with_pulses(pulses))
+
+    def with_supply_pressure(self, pressure: float) -> "Machine":
+        """Return the machine at another supply pressure [Pa, absolute]."""
+        return replace(self, supply_pressure=pressure)
+
+    def with_command(self, command: Command) -> "Machine":
+        """Return the machine with its proportional valve following another command.
+
+        Raises
+        ------
+        ValueError
+            The valve is not a proportional one.
+        """
+        if not isinstance(self.valve, ProportionalValve):
+            raise ValueError("with_command: found a valve that switches, expected a proportional one; use with_duty")
+        return replace(self, valve=self.valve.with_command(command))
+
+    def with_gas(self, medium: Medium) -> "Machine":
+        """Return the machine with another medium: `Gas`, `RealGas` or `Liquid`."""
+        asked: Any = medium
+        if not isinstance(asked, Gas | RealGas | Liquid):
+            hint = f'; RealGas(fluid="{asked}")?' if isinstance(asked, str) else ""
+            raise TypeError(f"medium: found {asked!r}, expected a Gas, a RealGas or a Liquid{hint}")
+        return replace(self, gas=medium)
+
+    def with_collapse(self, collapse: Collapse) -> "Machine":
+        """Return the machine with its rotary valve's inner volume collapsed in another way, or kept: "dynamic"."""
+        return replace(self, collapse=collapse)
+
+    def with_thermal(self, process: str | float | EnergyBalance) -> "Machine":
+        """Return the machine with one thermal process in all its volumes.
+
+        Parameters
+        ----------
+        process : {"isothermal", "adiabatic"}, float or EnergyBalance
+            A number is a polytropic exponent. "adiabatic" is the energy balance without heat from the wall.
+
+        Raises
+        ------
+        ValueError
+            Another name.
+        """
+        if process == "isothermal":
+            process = 1.0
+        elif process == "adiabatic":
+            process = EnergyBalance()
+        elif not isinstance(process, int | float | EnergyBalance):
+            raise ValueError(
+                f'process: found {process!r}, expected "isothermal", "adiabatic", a polytropic exponent or an '
+                "EnergyBalance"
+            )
+        exponent, balance = (1.0, process) if isinstance(process, EnergyBalance) else (float(process), None)
+        machine = replace(self, cylinder=self.cylinder.with_process(exponent, balance))
+        if not isinstance(self.valve, RotaryValve):
+            return machine
+        inner = tuple(
+            replace(volume, polytropic_exponent=exponent, energy_balance=balance) for volume in self.valve.inner_volumes
+        )
+        return replace(machine, valve=replace(self.valve, inner_volumes=inner))
+
+    def without_dry_friction(self) -> "Machine":
+        """Return the machine with neither dry friction nor stiction; viscous damping stays."""
+        return replace(self, load=replace(self.load, dry_friction=0.0, stiction=0.0))
+
+    # What the models read
+    # ----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def identifier(self) -> str:
+        """The name as python-control accepts it for a system: letters, digits and underscores."""
+        return "".join(c if c.isalnum() else "_" for c in self.name)
+
+    @property
+    def duty(self) -> float:
+        """On-time of the valve over the period [-]."""
+        return self.valve.on_window().width / (2 * math.pi)
+
+    @property
+    def has_dry_friction(self) -> bool:
+        """Whether the piston can stick."""
+        return self.load.dry_friction > 0 or self.load.stiction > 0
+
+    @property
+    def has_stops(self) -> bool:
+        """Whether the cylinder has an end stop, or two."""
+        return math.isfinite(self.cylinder.lower_stop) or math.isfinite(self.cylinder.upper_stop)
+
+    @property
+    def inner_volumes(self) -> tuple[InnerVolume, ...]:
+        """Volumes inside the valve that are chambers of their own, in the order of its ports."""
+        if self.collapse != "dynamic" or not isinstance(self.valve, RotaryValve):
+            return ()
+        sizes = {inner.name: inner for inner in self.valve.inner_volumes}
+        return tuple(sizes[name] for name in self.valve.volumes)
+
+    @cached_property
+    def volumes(self) -> tuple[str, ...]:
+        """Names of all volumes with a pressure of their own: the cylinder's chambers, then those inside the valve."""
+        return (*self.cylinder.chambers, *(inner.name for inner in self.inner_volumes))
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states.
+
+        Position [m], velocity [m/s], the volumes' pressures [Pa, absolute], then the temperatures [K] of those with an
+        energy balance.
+        """
+        inner = [volume.name for volume in self.inner_volumes]
+        labels = [name[-1] for name in self.cylinder.chambers] + (["valve"] if len(inner) == 1 else inner)
+        pressures = [f"pressure_{label}" for label in labels]
+        temperatures = [
+            f"temperature_{label}" for label, balance in zip(labels, self._balances, strict=True) if balance is not None
+        ]
+        return ("position", "velocity", *pressures, *temperatures)
+
+    @property
+    def n_volumes(self) -> int:
+        """Number of volumes with a pressure of their own; their pressures are states 2 to n_volumes + 1."""
+        return len(self.volumes)
+
+    @cached_property
+    def _balances(self) -> tuple[EnergyBalance | None, ...]:
+        cylinder = self.cylinder
+        return (
+            *(cylinder.process(name)[1] for name in cylinder.chambers),
+            *(inner.energy_balance for inner in self.inner_volumes),
+        )
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs: three pressures [Pa, absolute] and the load force [N], towards higher positions."""
+        return INPUTS
+
+    @cached_property
+    def levels(self) -> FloatArray:
+        """Values of the inputs, shape (4,)."""
+        given = (self.supply_pressure, self.exhaust_pressure, self.load.force, self.ambient_pressure)
+        return read_only(np.array(given, dtype=np.float64))
+
+    @cached_property
+    def connections(self) -> tuple[Connection, ...]:
+        """Every path of flow, with its effective areas over the turn."""
+        found: list[Connection] = []
+        if isinstance(self.valve, RotaryValve):
+            found += through_valve(self.valve, self.collapse, self.cylinder.chambers)
+        on = [valve.on_window() for valve in (self.valve, *self.more_valves)]
+        for path in self.flow_paths:
+            found.append(Connection(source=path.source, chamber=path.chamber, first=path.profile(on[path.valve])))
+        return tuple(found)
+
+    @cached_property
+    def openings(self) -> OpeningTable:
+        """Effective areas of all connections on a common set of pieces."""
+        return opening_table(self.connections)
+
+    @cached_property
+    def arrays(self) -> MachineArrays:
+        """The machine as the compiled kernels read it."""
+        c, load, gas, volumes = self.cylinder, self.load, self.gas, self.volumes
+        rows = {
+            "chamber_1": (c.dead_volume_1, c.piston_area_1, c.polytropic_exponent_1, c.push_area_1),
+            "chamber_2": (c.dead_volume_2, -c.piston_area_2, c.polytropic_exponent_2, c.push_area_2),
+        }
+        each = [rows[name] for name in c.chambers]
+        each += [(inner.volume, 0.0, inner.polytropic_exponent, 0.0) for inner in self.inner_volumes]
+        known = {"supply": SUPPLY, "exhaust": EXHAUST, **{name: k for k, name in enumerate(volumes)}}
+        paths = [(known[path.chamber], known[path.source]) for path in self.connections]
+        place, thermal = 2 + len(volumes), list[tuple[float, float, int]]()
+        for balance in self._balances:
+            if balance is None:
+                thermal.append((0.0, gas.temperature, -1))
+                continue
+            wall = gas.temperature if balance.wall_temperature is None else balance.wall_temperature
+            thermal.append((balance.conductance, wall, place))
+            place += 1
+        plain = isinstance(gas, Gas) and place == 2 + len(volumes) and all(source < 0 for _, source in paths)
+        return MachineArrays(
+            gas=gas.constants,
+            load=LoadConstants(
+                mass=float(load.mass),
+                spring_stiffness=float(load.spring_stiffness),
+                viscous_damping=float(load.viscous_damping),
+                dry_friction=float(load.dry_friction),
+                stiction=float(load.stiction),
+                force=float(load.force),
+                ambient_push_area=float(c.ambient_push_area),
+                ambient_pressure=float(self.ambient_pressure),
+                lower_stop=float(c.lower_stop),
+                upper_stop=float(c.upper_stop),
+            ),
+            supply=GasState(float(self.supply_pressure), float(self.gas.temperature)),
+            exhaust=GasState(float(self.exhaust_pressure), float(self.gas.temperature)),
+            chambers=np.column_stack([np.array(each, dtype=np.float64), np.array(thermal, dtype=np.float64)]),
+            paths=np.array(paths, dtype=np.int64),
+            medium=MediumArrays(gas.kind, 0.0 if plain else LAMINAR, gas.constants, gas.table),
+            plain=plain,
+        )
+
+    @cached_property
+    def has_infinite_slopes(self) -> bool:
+        """Whether a flow's slope is infinite where pressures meet; a liquid's is not, being laminar there."""
+        return not isinstance(self.gas, Liquid)
+
+    @cached_property
+    def is_isothermal(self) -> bool:
+        """Whether all is an ideal gas of constant temperature: its pressures' rates are homogeneous, and superpose."""
+        constant = len(self.states) == 2 + self.n_volumes and bool((self.arrays.chambers[:, 2] == 1.0).all())
+        return constant and isinstance(self.gas, Gas)
+
+    @cached_property
+    def state_scales(self) -> FloatArray:
+        """Sizes by which errors of the states are judged.
+
+        Dead length, that times a frequency of the piston on its chambers, supply pressure, temperature of the medium.
+        """
+        arrays, n_chambers = self.arrays, len(self.cylinder.chambers)
+        volume, slope = arrays.chambers[:n_chambers, 0], arrays.chambers[:n_chambers, 1]
+        length = float(np.max(np.abs(volume / slope)))
+        modulus = self.exhaust_pressure
+        if isinstance(self.gas, Liquid):
+            modulus = self.gas.effective_bulk_modulus(self.supply_pressure)
+        stiffness = self.load.spring_stiffness + float(np.sum(modulus * slope**2 / volume))
+        speed = length * math.sqrt(stiffness / self.load.mass)
+        n_temperatures = len(self.states) - 2 - self.n_volumes
+        scales = [length, speed, *[self.supply_pressure] * self.n_volumes, *[self.gas.temperature] * n_temperatures]
+        return read_only(np.array(scales))
+
+    @cached_property
+    def rest_state(self) -> FloatArray:
+        """Piston at rest at zero, or at the stop nearest to it, every volume as the exhaust is; (n_states,)."""
+        position = min(max(0.0, self.cylinder.lower_stop), self.cylinder.upper_stop)
+        n_temperatures = len(self.states) - 2 - self.n_volumes
+        pressures, temperatures = [self.exhaust_pressure] * self.n_volumes, [self.gas.temperature] * n_temperatures
+        return read_only(np.array([position, 0.0, *pressures, *temperatures]))

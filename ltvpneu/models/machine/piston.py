@@ -1,0 +1,98 @@
+"""Stick, slip and end stops of the piston, compiled: its mode, what holds it, what follows an event."""
+
+import math
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu._compiled import compiled, inlined
+from ltvpneu.models.machine.arrays import MachineArrays
+from ltvpneu.models.machine.dynamics import STUCK, external_force
+from ltvpneu.physics.friction import holding_force, slip_direction
+
+STOP_ROUNDING = 1e-15
+"""Relative distance from a stop that is rounding [-]."""
+
+
+@compiled
+def at_stop(position: float, machine: MachineArrays) -> int:
+    """Return the stop that a position is at: -1 the lower, 1 the upper, 0 neither.
+
+    States that were scaled and back are off by rounding.
+    """
+    lower, upper = machine.load.lower_stop, machine.load.upper_stop
+    # False where there is no stop: infinity less infinity is no number.
+    if position <= lower + STOP_ROUNDING * abs(lower):
+        return -1
+    if position >= upper - STOP_ROUNDING * abs(upper):
+        return 1
+    return 0
+
+
+@compiled
+def _holds(position: float, machine: MachineArrays) -> tuple[float, float]:
+    """Return the forces that a resting piston withstands towards lower and higher positions [N]."""
+    hold = holding_force(machine.load.dry_friction, machine.load.stiction)
+    side = at_stop(position, machine)
+    return (math.inf if side < 0 else hold), (math.inf if side > 0 else hold)
+
+
+@compiled
+def is_pressed(state: FloatArray, machine: MachineArrays) -> bool:
+    """Whether a piston at rest at a stop is pressed on it by more than stiction would hold beside it.
+
+    Then a move off the stop does not last: the force brings the piston back.
+    """
+    side = at_stop(state[0], machine)
+    hold = holding_force(machine.load.dry_friction, machine.load.stiction)
+    return side != 0 and side * external_force(state, machine) > hold
+
+
+@compiled
+def mode_of(state: FloatArray, machine: MachineArrays) -> int:
+    """Mode of the piston: the direction of its velocity; at rest, `STUCK` or the direction in which it breaks away."""
+    if state[1] > 0.0:
+        return 1
+    if state[1] < 0.0:
+        return -1
+    down, up = _holds(state[0], machine)
+    direction = slip_direction(external_force(state, machine), down, up)
+    return STUCK if direction == 0 else direction
+
+
+@inlined
+def hold_left(state: FloatArray, machine: MachineArrays) -> float:
+    """Return how much more force a resting piston withstands [N]; below zero it breaks away."""
+    force = external_force(state, machine)
+    down, up = _holds(state[0], machine)
+    return min(up - force, force + down)
+
+
+@compiled
+def margin_at(state: FloatArray, kind: int, mode: int, machine: MachineArrays) -> float:
+    """Return what an event waits for to fall below zero, at a state; kinds as of `first_event`."""
+    if kind == 0:
+        return mode * state[1]
+    if kind == 1:
+        return state[0] - machine.load.lower_stop
+    if kind == 2:
+        return machine.load.upper_stop - state[0]
+    return hold_left(state, machine)
+
+
+@compiled
+def after_event(kind: int, state: FloatArray, scales: FloatArray, machine: MachineArrays) -> int:
+    """Bring a scaled state to rest at an event that it has reached, and return the mode it goes on in."""
+    state[1] = 0.0
+    if kind == 1:
+        state[0] = machine.load.lower_stop / scales[0]
+    elif kind == 2:
+        state[0] = machine.load.upper_stop / scales[0]
+    z = np.empty(scales.size)
+    for i in range(scales.size):
+        z[i] = state[i] * scales[i]
+    mode = mode_of(z, machine)
+    if kind == 3 and mode == STUCK:
+        # Rounding must not hold what has just broken away.
+        mode = 1 if external_force(z, machine) > 0.0 else -1
+    return mode

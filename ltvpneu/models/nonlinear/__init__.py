@@ -1,0 +1,1 @@
+"""The nonlinear model: one turn, settled and judged."""

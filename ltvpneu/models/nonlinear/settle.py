@@ -1,0 +1,136 @@
+"""Simulation until the state repeats, after one or more valve periods, compiled."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ltvpneu._arrays import FloatArray
+from ltvpneu._compiled import compiled
+from ltvpneu.models.nonlinear.integrator import OK, Outcome, integrate_period
+from ltvpneu.models.nonlinear.runge_kutta import Run, copy
+from ltvpneu.physics.friction import holding_force
+
+MAX_SUBHARMONIC = 64
+"""Longest orbit looked for, in valve periods."""
+
+
+ROUNDING = 1e-13
+"""Scaled change over a period that is none: where it is all that is left, it no longer falls [-]."""
+
+
+class Settled(NamedTuple):
+    """Where `settle` got to."""
+
+    n_periods: int
+    """Least number of periods after which the state repeats; 0 if none was found."""
+    n_simulated: int
+    residual: float
+    last: Outcome
+    """The last period simulated."""
+
+
+@compiled
+def largest_change(now: FloatArray, before: FloatArray, scales: FloatArray) -> float:
+    """Largest scaled difference of two states."""
+    worst = 0.0
+    for i in range(scales.size):
+        worst = max(worst, abs(now[i] - before[i]) / scales[i])
+    return worst
+
+
+@compiled
+def is_settled(k: int, done: int, changes: FloatArray, drift: float, tolerance: float) -> bool:
+    """Whether the changes over k periods say that the state repeats after k.
+
+    `changes` holds the changes over each k, one row a period, the last MAX_SUBHARMONIC + 1 periods in a ring; `drift`
+    is how far the state has gone over the last 16 periods.
+    """
+    ring = changes.shape[0]
+    change = changes[done % ring, k]
+    # A multiple of the true number repeats just as well, and so does rounding: all smaller numbers must clearly fail.
+    for smaller in range(1, k):
+        if changes[done % ring, smaller] <= 1000.0 * tolerance:
+            return False
+    if done <= k:
+        return change <= 1e-4 * tolerance
+    if change <= ROUNDING:
+        return True
+    before = changes[(done - k) % ring, k]
+    contraction = min(change / before, 1.0) if before > 0.0 else 0.0
+    if change <= tolerance * (1.0 - contraction):
+        return True
+    # Where chambers rest at a source's pressure, step control leaves a floor of its own size. There the state goes to
+    # and fro; one that still creeps towards its orbit goes as far in 16 periods as 16 changes.
+    return k == 1 and change <= 10.0 * tolerance and drift <= 4.0 * change
+
+
+@compiled
+def _extrapolated(history: FloatArray, changes: FloatArray, done: int, scales: FloatArray) -> FloatArray:
+    """Return where a slow, steady contraction is heading, or an empty array.
+
+    Steady: the ratio q of successive changes has settled, so that what is left to go is q / (1 - q) times the last
+    change (Aitken). The simulation goes on from there, so without dry friction a wrong guess costs time, not truth;
+    with it the piston might be set past the place where it would have come to rest.
+    """
+    ring, n = history.shape
+    ratios = np.empty(3)
+    for back in range(3):
+        ratios[back] = changes[(done - back) % ring, 1] / changes[(done - back - 1) % ring, 1]
+    q = ratios[0]
+    steady = max(abs(ratios[1] - q), abs(ratios[2] - q)) < 0.05 * (1.0 - q)
+    if not (steady and 0.8 < q < 1.0):
+        return np.empty(0)
+    now, before = history[done % ring], history[(done - 1) % ring]
+    guess = np.empty(n)
+    for i in range(n):
+        guess[i] = now[i] + (now[i] - before[i]) * q / (1.0 - q)
+        # A leap beyond the size of the machine is no guess, nor one to a pressure below zero.
+        if abs(guess[i] - now[i]) > scales[i] or (i >= 2 and guess[i] <= 0.1 * now[i]):
+            return np.empty(0)
+    return guess
+
+
+@compiled
+def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, max_periods: int) -> Settled:
+    """Simulate valve periods until the state repeats, after one or more of them.
+
+    The change of the scaled state over k periods, r, bounds the distance from the orbit by r / (1 - q) where q is its
+    contraction over the last k periods. The smallest k for which that falls below the tolerance is the orbit's. Where
+    the contraction is slow and steady, and nothing sticks, the state is set ahead to where it is heading.
+
+    Returns
+    -------
+    Settled
+        With `n_periods` zero if the state never repeated, `residual` then being the smallest change over any k, or if
+        the last period could not be integrated.
+    """
+    n, ring = start.size, MAX_SUBHARMONIC + 1
+    history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
+    copy(start, history[0])
+    # Counted from the start, or from where the state was last set ahead.
+    done, simulated, best = 1, 1, math.inf
+    sticks = holding_force(run.machine.load.dry_friction, run.machine.load.stiction) > 0.0
+    outcome = integrate_period(start, run, True)
+    while outcome.status == OK:
+        copy(outcome.state, history[done % ring])
+        best = math.inf
+        drift = largest_change(outcome.state, history[(done - 16) % ring], scales) if done >= 16 else math.inf
+        for k in range(1, min(MAX_SUBHARMONIC, done) + 1):
+            change = largest_change(outcome.state, history[(done - k) % ring], scales)
+            changes[done % ring, k] = change
+            best = min(best, change)
+            if is_settled(k, done, changes, drift, tolerance):
+                return Settled(k, simulated, change, outcome)
+        if simulated >= max_periods:
+            break
+        ahead = _extrapolated(history, changes, done, scales) if done >= 24 and not sticks else np.empty(0)
+        state = outcome.state
+        if ahead.size > 0:
+            state, done = ahead, 0
+            changes.fill(np.inf)
+            copy(state, history[0])
+        outcome = integrate_period(state, run, True)
+        done += 1
+        simulated += 1
+    return Settled(0, simulated, best, outcome)
