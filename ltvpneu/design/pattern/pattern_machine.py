@@ -22,12 +22,8 @@ from ltvpneu.periodic.orbit import Orbit
 
 MOST_ENUMERATED = 12
 """Slots up to which all patterns are tried."""
-
-
 MOST_MOVES = 100
 """Changes of a pattern of more slots, one after the other."""
-
-
 KEPT_WITHIN = 1e-6
 """By how much a goal may be missed and still counts as kept, of the state's size [-]."""
 

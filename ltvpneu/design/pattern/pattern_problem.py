@@ -24,8 +24,6 @@ from ltvpneu.errors import SolverError
 from ltvpneu.models.machine.machine import Machine
 
 OBJECTIVES = ("amplitude", "mean_error", "air_use", "switching")
-
-
 RELATIVE_GAP = 1e-9
 """Asked of HiGHS."""
 

@@ -44,11 +44,7 @@ from ltvpneu.models.machine.parameters import present_value, pulse_edges, with_v
 from ltvpneu.periodic.orbit import Orbit
 
 Scenario = Callable[[Machine], Machine]
-
-
 NOMINAL = "nominal"
-
-
 KEPT_WITHIN = 0.01
 """Share of a goal that the nonlinear machine may break it by and still keeps it, see `DutySolution.tolerances` [-]."""
 

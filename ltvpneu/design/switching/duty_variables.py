@@ -18,8 +18,6 @@ from ltvpneu.physics.proportional import Command
 from ltvpneu.physics.valve import RotaryValve
 
 Bounds = tuple[float, float]
-
-
 LEAST_WIDTH = 2e-3
 """Least share of the turn for a pulse, or between pulses, whatever is asked for: none of them vanishes [-]."""
 

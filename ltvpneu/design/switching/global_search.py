@@ -27,19 +27,11 @@ from ltvpneu.errors import LtvpneuError
 
 FIRST_PARTS = {1: 16, 2: 8}
 """Parts that each side is cut into first."""
-
-
 MARGIN = 2.0
 """On the curvature seen between centres [-]."""
-
-
 GAP = 1e-3
 """Of the objective, relative to its change over the bounds, at which a search is over [-]."""
-
-
 MOST_BOXES = 4000
-
-
 POLISHED = 3
 """Best centres from which local searches start."""
 

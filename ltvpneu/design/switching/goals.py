@@ -22,8 +22,6 @@ from ltvpneu.models.machine.machine import Machine
 
 Wanted = float | tuple[float | None, float | None]
 """A value, or the least and the greatest one, None for no bound."""
-
-
 OBJECTIVES = ("amplitude", "air_use", "mean_error", "tracking", "switching")
 
 

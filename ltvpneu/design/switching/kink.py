@@ -15,8 +15,6 @@ from ltvpneu.errors import LtvpneuError
 
 BESIDE, DISTINCT = 1e-3, 1e-4
 """How far off settings beside may be, of the bounds, and by how much their slopes have to differ, relative [-]."""
-
-
 MOST_PIECES, MOST_MIXTURES, MIXINGS = 12, 10, 24
 """Sides that are mixed at most, rounds in which another one is mixed in, and rounds of bisection in each."""
 

@@ -8,8 +8,6 @@ from ltvpneu.errors import LtvpneuError
 
 STARTS = {1: (161, 641), 2: (169, 441)}
 """Settings looked at first, by the number of variables; then more where that leads to no optimum."""
-
-
 STARTS_BEYOND = (16,)
 """The same for more variables."""
 

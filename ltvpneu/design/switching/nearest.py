@@ -15,8 +15,6 @@ from ltvpneu.errors import LtvpneuError
 
 FIRST, SECOND = 1e3, 30.0
 """By what an equation, and a bound, that some setting keeps by itself count more than a goal that none keeps [-]."""
-
-
 STARTS = 2
 """Settings from which the nearest one is looked for, beside the one found before."""
 

@@ -33,47 +33,25 @@ from ltvpneu.errors import LtvpneuError
 
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.1, 0.5, 1e-9
 """Of the trust region, as a share of each variable's bounds [-]."""
-
-
 NEAREST_TO_NONE = 1e-6
 """Radius below which a setting next to those without a cycle is not brought any nearer to them [-]."""
-
-
 FIRST_PENALTY, LARGEST_PENALTY = 10.0, 1e6
 """On the constraints' scaled violation."""
-
-
 LEAST_SHARE = 0.05
 """Share of the foretold fall of the merit that a step must make true [-]."""
-
-
 AT_A_KINK = 1e-5
 """Radius from which on slopes beside are mixed with those here, as a share of the bounds [-]."""
-
-
 MOST_BESIDE = 16
 """Settings beside that are remembered."""
-
-
 FELT_FROM, FELT_TO = 1e-2, 1e-5
 """Steps that are tried without derivatives, as shares of the bounds [-]."""
-
-
 MOST_FELT = 4
 """Settings up to which they are tried."""
-
-
 ROUNDING = 1e-9
 """Changes of the merit that the cycles' own accuracy does not tell from none [-]."""
-
-
 FIRST_CURVATURE = 0.1
-
-
 FEASIBLE = 1e-7
 """Scaled violation up to which a constraint counts as kept [-]."""
-
-
 ACTIVE = 1e-6
 """Scaled dual above which a constraint counts as active [-]."""
 

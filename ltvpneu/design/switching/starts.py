@@ -11,17 +11,11 @@ from ltvpneu.design.switching.subproblem import Search, within_limits
 from ltvpneu.errors import LtvpneuError
 
 Progress = Callable[[str, float], object]
-
-
 REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
 """Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
 span, from which they are, and settings looked at at most."""
-
-
 RANKED_BY = (10.0, 300.0, 1e4)
 """Penalties by which settings to start from are ranked."""
-
-
 STARTS_EACH = 3
 """Settings started from at most, by each ranking."""
 

@@ -15,8 +15,6 @@ from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.machine.machine import Machine
 
 FigureKind = Literal["mean", "minimum", "maximum", "at", "air_use"]
-
-
 WHOLE = -1
 """Instead of a piece's number: all of them."""
 

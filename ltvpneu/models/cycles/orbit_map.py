@@ -28,32 +28,18 @@ from ltvpneu.models.nonlinear.simulation import integration_settings
 from ltvpneu.physics.valve import check_duty
 
 DEPENDS = "depends on the start"
-
-
 KINDS = ("unique", "band", "subharmonic", "chaotic", DEPENDS, "failed")
 """Of one attractor that all starts lead to: an isolated orbit of one period, a band, an orbit of several; or none that
 repeats; or several attractors; or no answer."""
-
-
 WIDE = 0.2
 """Share of the means' range from which on a gap between them counts as positions that no duty holds [-]."""
-
-
 SAID = {"unique": "one orbit from all starts", "band": "stiction band"}
 """Kinds as readers are told them, where that is not by their names."""
-
-
 FINE = 0.0125
 """Steps of duty in which it is looked which positions a duty holds, where the piston may jump [-]."""
-
-
 MAP_SPREAD = 6
 """Starts over the stroke and the pressures at each point of a map."""
-
-
 CHAOS_PERIODS = 1000
-
-
 NEIGHBOUR = 1e-6
 """Scaled distance at which neighbours are set [-]."""
 

@@ -21,8 +21,6 @@ from ltvpneu.periodic.orbit import Trajectory
 
 STATE_STEP = 1e-5
 """Step over the scaled states of the cycle's start [-]."""
-
-
 TOLERANCE = 1e-10
 """Of the integrations that are differenced [-]."""
 

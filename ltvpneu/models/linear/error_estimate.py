@@ -17,24 +17,14 @@ from ltvpneu.physics.liquid import Liquid
 
 CELLS = 256
 """Cells of the fine staircase on which the defect is taken, in each valve period."""
-
-
 MOST_CORRECTIONS = 4
-
-
 MOST_PRESSURE = 4.0
 """Highest pressure of a liquid that operating points are kept at, over that of the supply [-]."""
-
-
 LEAST_TEMPERATURE, MOST_TEMPERATURE = 0.3, 3.0
 """Range that temperatures of operating points are kept in, over that of the surroundings [-]."""
-
-
 HELD = 0.05
 """How far from the cycle its operating points may be held for an estimate, in the time mean, over the states' scales
 [-]."""
-
-
 SETTLED, NEGLIGIBLE = 0.2, 2e-3
 """The defect is taken again, of the sum, until that moves the estimate by less than this share of it, or less than this
 share of the amplitude."""

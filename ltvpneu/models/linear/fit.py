@@ -18,18 +18,10 @@ from ltvpneu.periodic.small import solve
 
 RIDGE = 1e-6
 """Mean square of a scaled state's excursions below which the fit keeps the tangent's slope over it [-]."""
-
-
 LEAST_SLOPE = 0.4
 """Least slope of a fitted pressure rate over its own pressure, as a share of the tangent's [-]."""
-
-
 LEAST_SHARE_RIDGE = 1e-3
-
-
 _SHARES = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)])
-
-
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 

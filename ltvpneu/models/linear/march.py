@@ -31,15 +31,9 @@ from ltvpneu.physics.properties import LIQUID
 
 TOO_MANY_EVENTS, NOT_CONVERGED = 11, 12
 """How a march ended, beside the integrator's ways."""
-
-
 MAX_HALVINGS = 20
-
-
 LEAST_SHARE = 0.01
 """Share of a dead volume, and of the supply pressure, below which a linear step has left the equations' domain [-]."""
-
-
 MAX_EVENTS = 200
 """Steps that a cell may be cut into by stick and slip."""
 

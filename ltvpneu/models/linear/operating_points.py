@@ -17,8 +17,6 @@ from ltvpneu.models.machine.quasi_static import nearest_source, settled_states, 
 
 LEAST_DISTANCE = 0.02
 """Default relative distance kept from the pressure of a source that a chamber is open to [-]."""
-
-
 LEAST_TEMPERATURE, MOST_TEMPERATURE = 0.5, 2.0
 """Range that temperatures of operating points are held in, over that of the surroundings [-]."""
 

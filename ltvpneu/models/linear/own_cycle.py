@@ -40,32 +40,16 @@ OwnCycle = Literal["fitted", "self-consistent"]
 
 
 Spacing = Literal["adaptive", "even"]
-
-
 LOOSEST_REFERENCE, TIGHTEST_REFERENCE = 1e-5, 1e-7
 """Relative tolerances of the integration over each step, to which it is fitted or from which its search starts [-]."""
-
-
 POINT_TOLERANCE = 1e-10
-
-
 CYCLE_TOLERANCE = 0.1
 """Scaled distance from the cycle at which the state counts as periodic, over the reference's tolerance [-]."""
-
-
 MAX_PERIODS = 5000
-
-
 LEAST_TRAVEL = 1e-4
 """Scaled travel below which a piston that also rests counts as resting [-]."""
-
-
 MAX_ITERATIONS = 40
-
-
 MOST_STEPS = 2048
-
-
 GROWTH = 4
 """Factor by which the number of steps grows from one round of placing them to the next."""
 

@@ -21,15 +21,9 @@ from ltvpneu.periodic.small import exponential, multiply, solve
 
 WAIT = 2
 """Periods marched before the cycle's start is solved for."""
-
-
 MAX_LEAPS = 40
-
-
 SAFE_RADIUS = 0.9
 """Spectral radius of the steps' maps up to which a cycle that was leapt to is taken to attract [-]."""
-
-
 LEAST_PRESSURE = 0.1
 """Share of a pressure that a leap leaves at least [-]."""
 

@@ -9,16 +9,10 @@ from ltvpneu.physics.medium import MediumArrays
 
 SUPPLY, EXHAUST = -1, -2
 """What feeds a path, where that is no volume; -1 - SUPPLY and -1 - EXHAUST are their columns among the inputs."""
-
-
 INPUTS = ("supply_pressure", "exhaust_pressure", "load_force", "ambient_pressure")
 """What a machine's linear models are driven by, in the order of their columns."""
-
-
 N_INPUTS, LOAD_FORCE, AMBIENT = 4, 2, 3
 """Their number, and the columns of those that are no source of a path."""
-
-
 CONDUCTANCE, WALL_TEMPERATURE, TEMPERATURE_PLACE = 4, 5, 6
 """Columns of a machine's table of volumes beyond the paper's."""
 

@@ -26,8 +26,6 @@ from ltvpneu.physics.properties import LIQUID
 DECAY_AT_REST = 40.0
 """Exponent by which what does not last decays over a step of rest: the velocity of a resting piston, and the distance
 from a stop of one that is pressed on it. What is left is below rounding."""
-
-
 LEAST_SEPARATION = 1e-5
 """Relative distance from a source's pressure within which the flow counts as a straight line through zero [-]."""
 

@@ -20,11 +20,7 @@ Collapse = Literal["minimum", "in_series", "dynamic"]
 
 
 COLLAPSES: tuple[Collapse, ...] = ("minimum", "in_series", "dynamic")
-
-
 SOURCES = ("supply", "exhaust")
-
-
 CHAMBERS = ("chamber_1", "chamber_2")
 
 

@@ -12,8 +12,6 @@ from ltvpneu.physics.flow import mass_flow
 
 MAX_SWEEPS = 500
 """Passes over volumes whose balances depend on each other's, or on a temperature; each closes in by a factor."""
-
-
 SETTLED = 1e-14
 """Relative change in a pass at which all are at rest [-]."""
 

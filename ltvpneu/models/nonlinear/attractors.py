@@ -33,24 +33,14 @@ from ltvpneu.periodic.orbit import Orbit
 
 SPREAD = 12
 """Starts over the stroke and the pressures, beside those at rest at zero and at the ends."""
-
-
 SAME = 3e-3
 """Scaled distance within which two orbits are one, or two places of rest in one band [-]."""
-
-
 LOOSE, LOOSE_RTOL = 1e-4, 1e-5
 """Tolerances with which a start is followed to an orbit that is known already [-]."""
-
-
 LOOSE_PERIODS = 0.2
 """Periods that are simulated from starts but the first, over `max_periods` [-]."""
-
-
 BETWEEN = 1000
 """Periods within which a piston set between two places of rest has to be at rest."""
-
-
 CREEPS = 1e-5
 """Scaled change over a period up to which a state that has not settled is slow, and no orbit of its own [-]."""
 

@@ -31,11 +31,7 @@ from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.physics.medium import properties
 
 NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(8))
-
-
 MASS_IN, MASS_OUT, ENTHALPY_IN, ENTHALPY_OUT, HEAT, WORK = range(6)
-
-
 CLOSES = 1e-3
 """Scaled distance from its beginning within which an orbit counts as closed [-]."""
 

@@ -35,12 +35,8 @@ from ltvpneu.periodic.propagate import exponentials
 
 PARTS = 4
 """Parts that each interval of the integrator is taken in."""
-
-
 NEAREST_SOURCE = 1e-5
 """Relative distance from a source's pressure within which the chord to it replaces an ever steeper slope [-]."""
-
-
 NEUTRAL = 1e-6
 """Distance of a modulus from 1 within which a disturbance neither grows nor decays [-]."""
 

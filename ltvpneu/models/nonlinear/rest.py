@@ -14,12 +14,8 @@ from ltvpneu.physics.friction import holding_force
 
 STILL = 10.0
 """Travel below which a piston that also rests may be creeping to the edge of a band, over the orbit's tolerance [-]."""
-
-
 BESIDE = 1e3
 """How far beside such a piston a place of rest is looked for, likewise [-]."""
-
-
 BY_STICTION, AT_EDGE = "held by stiction", "at the edge of a stiction band"
 
 

@@ -57,20 +57,10 @@ class Workspace(NamedTuple):
 
 # The last stage is the step's end, whose weights are the method's own: its rate starts the next step.
 _STAGES = np.zeros((7, 6))
-
-
 _STAGES[:6, :5] = RK45.A
-
-
 _STAGES[6] = RK45.B
-
-
 _NODES = np.append(RK45.C, 1.0)
-
-
 _ERROR = RK45.E
-
-
 _INTERPOLANT = RK45.P
 
 

@@ -13,8 +13,6 @@ from ltvpneu.physics.friction import holding_force
 
 MAX_SUBHARMONIC = 64
 """Longest orbit looked for, in valve periods."""
-
-
 ROUNDING = 1e-13
 """Scaled change over a period that is none: where it is all that is left, it no longer falls [-]."""
 

@@ -74,12 +74,8 @@ Method = DormandPrince | RungeKutta4
 # Where pressures meet the slope of the flow is infinite, and steps that resolve small differences multiply: of an orbit
 # pressures need not be right to less than 1e-7 of the supply; what is differenced is asked for more tightly.
 LEAST_PRESSURE_TOLERANCE, TIGHTER = 1e-7, 100.0
-
-
 REPEATS = 1e3
 """How well an orbit of several periods repeats once more at least, over the tolerance [-]."""
-
-
 MAX_STEPS = 5_000_000
 """Steps that a period may take before the integration is given up."""
 

@@ -12,8 +12,6 @@ from ltvpneu.physics.real_gas import RealGas
 
 NEAR_VAPOR = 1e-3
 """Share of the supply pressure within which a pressure that stopped an integration counts as that of vapor [-]."""
-
-
 AT_EDGE = 1e-6
 """Relative distance from the end of a gas's range at which its state counts as having left it [-]."""
 
