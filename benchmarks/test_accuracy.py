@@ -19,7 +19,7 @@ import ltvpneu as lp
 from benchmarks.conftest import ratio
 from ltvpneu.models.linear.ltv import OperatingPoints
 from ltvpneu.models.machine.dynamics import state_rate
-from ltvpneu.models.machine.openings import schedule_of
+from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.machine.piston import mode_of
 
 
@@ -35,17 +35,17 @@ def best_time(function: Callable[[], object], repeats: int = 20) -> float:
 
 def solve_ivp_amplitude(machine: lp.Machine, frequency: float, rtol: float, n_periods: int) -> float:
     """Half the peak-to-peak of the last period of solve_ivp, restarted at every switch; stick as strong damping."""
-    schedule, scales, arrays = schedule_of(machine.openings, 1 / frequency), machine.state_scales, machine.arrays
+    pieces, scales, record = pieces_of(machine.openings, 1 / frequency), machine.state_scales, machine.record
     state, low, high = machine.rest_state.copy(), np.inf, -np.inf
     for period in range(n_periods):
-        for piece in range(schedule.times.size - 1):
-            areas, rate = schedule.areas[piece][[0, 2]].copy(), np.empty(3)
+        for piece in range(pieces.size):
+            areas, rate = pieces["areas"][piece, (0, 2), : len(machine.path_fields)].copy(), np.empty(3)
 
             def right_side(_t: float, z: np.ndarray, areas: np.ndarray = areas, rate: np.ndarray = rate) -> np.ndarray:
-                state_rate(z, areas, mode_of(z, arrays), arrays, rate)
+                state_rate(z, areas, mode_of(z, record), record, rate)
                 return rate.copy()
 
-            span = (schedule.times[piece], schedule.times[piece + 1])
+            span = (pieces["begin"][piece], pieces["end"][piece])
             found = solve_ivp(right_side, span, state, method="LSODA", rtol=rtol, atol=rtol * scales, dense_output=True)
             state = found.y[:, -1]
             if period == n_periods - 1:

@@ -11,9 +11,10 @@ from pytest_benchmark.fixture import BenchmarkFixture
 import ltvpneu as lp
 from benchmarks.conftest import ratio
 from ltvpneu.models.linear.own_cycle import OwnCycle
-from ltvpneu.models.machine.openings import schedule_of
-from ltvpneu.models.nonlinear.integrator import integrate_period
-from ltvpneu.models.nonlinear.runge_kutta import Run
+from ltvpneu.models.machine.openings import pieces_of
+from ltvpneu.models.machine.records import GENERAL
+from ltvpneu.models.nonlinear.runge_kutta import new_run
+from ltvpneu.models.nonlinear.settle import integrate_period
 from ltvpneu.models.nonlinear.simulation import integration_settings
 
 FREQUENCY = 4.0
@@ -45,16 +46,14 @@ def test_orbits_of_the_extensions(benchmark: BenchmarkFixture, table_1: lp.Machi
 
 
 def test_what_the_short_cuts_spare(benchmark: BenchmarkFixture, table_1: lp.Machine) -> None:
-    schedule, settings = schedule_of(table_1.openings, 1 / FREQUENCY), integration_settings(table_1, 1e-8)
+    pieces, settings = pieces_of(table_1.openings, 1 / FREQUENCY), integration_settings(table_1, 1e-8)
     start = np.array(table_1.rest_state)
-    short = Run(schedule, table_1.arrays, settings)
-    general = short._replace(machine=table_1.arrays._replace(plain=False))
-    times = ratio(
-        lambda: integrate_period(start, general, False), lambda: integrate_period(start, short, False), rounds=25
-    )
+    short = new_run(table_1.record, settings, pieces)
+    general = new_run(table_1.as_record(GENERAL), settings, pieces)
+    times = ratio(lambda: integrate_period(start, general), lambda: integrate_period(start, short), rounds=25)
     print(f"\none period through the general equations: {times:.2f} times the paper's case")
     benchmark.extra_info["general over short"] = times
-    benchmark(lambda: integrate_period(start, short, False))
+    benchmark(lambda: integrate_period(start, short))
 
 
 @pytest.mark.parametrize("mode", ["fitted", "self-consistent"])

@@ -25,14 +25,14 @@ RHS = Callable[[float, np.ndarray, int, bool], np.ndarray]
 
 
 def compiled_rhs(machine: lp.Machine) -> RHS:
-    arrays, areas, out = (
-        machine.arrays,
+    record, areas, out = (
+        machine.record,
         {on: areas_at(machine, 0.0 if on else 4.0) for on in (True, False)},
         np.empty(3),
     )
 
     def rhs(_t: float, z: np.ndarray, mode: int, on: bool) -> np.ndarray:
-        state_rate(z, areas[on], mode, arrays, out)
+        state_rate(z, areas[on], mode, record, out)
         return out.copy()
 
     return rhs
@@ -68,7 +68,7 @@ def python_rhs(machine: lp.Machine) -> RHS:
 
 def peer_amplitude(machine: lp.Machine, rhs: RHS, rtol: float) -> float:
     """Amplitude of the fifth period from rest by solve_ivp."""
-    arrays, half = machine.arrays, 0.5 / FREQUENCY
+    record, half = machine.record, 0.5 / FREQUENCY
     z = machine.rest_state.copy()
     atol = rtol * machine.state_scales
     low, high = math.inf, -math.inf
@@ -77,7 +77,7 @@ def peer_amplitude(machine: lp.Machine, rhs: RHS, rtol: float) -> float:
         return mode * y[1] + 1e-12
 
     def breaks(_t: float, y: np.ndarray, _mode: int, _on: bool) -> float:
-        return machine.load.stiction - abs(external_force(y, arrays))
+        return machine.load.stiction - abs(external_force(y, record))
 
     for event in (stops, breaks):
         event.terminal, event.direction = True, -1  # type: ignore[attr-defined]
@@ -86,14 +86,14 @@ def peer_amplitude(machine: lp.Machine, rhs: RHS, rtol: float) -> float:
         for on in (True, False):
             t = 0.0
             while t < half:
-                mode = mode_of(z, arrays)
+                mode = mode_of(z, record)
                 event = breaks if mode == STUCK else stops
                 found = solve_ivp(rhs, (t, half), z, rtol=rtol, atol=atol, events=event, args=(mode, on))
                 t, z = float(found.t[-1]), found.y[:, -1].copy()
                 # The extremes of the position lie where the piston stops, so they are among the ends of the pieces.
                 low, high = min(low, found.y[0].min()), max(high, found.y[0].max())
                 if found.status == 1:
-                    z[1] = 0.0 if mode != STUCK else math.copysign(1e-9, external_force(z, arrays))
+                    z[1] = 0.0 if mode != STUCK else math.copysign(1e-9, external_force(z, record))
     return (high - low) / 2
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -105,3 +105,28 @@ def _number(name: str, value: float) -> float:
 
 def _of(unit: str) -> str:
     return f" {unit}" if unit else ""
+
+
+def layout(record: type) -> np.dtype[Any]:
+    """Return the memory layout of a record: of a class whose fields are annotated.
+
+    Fields are numbers, `bool`, or records themselves; `Annotated[Sequence[Field], n]` is an array of n of them, and
+    `Annotated[FloatArray, m, n]` one of m times n numbers.
+    """
+    fields: list[Any] = []
+    hints = get_type_hints(record, include_extras=True)
+    # A derived class's own fields first: numba takes a record that begins like another for that other.
+    for name in dict.fromkeys(name for base in record.__mro__ for name in base.__dict__.get("__annotations__", {})):
+        hint = hints[name]
+        if get_origin(hint) is Annotated:
+            base, *shape = get_args(hint)
+            element = float if base == FloatArray else get_args(base)[0]
+            fields.append((name, _field(element), tuple(shape)))
+        else:
+            fields.append((name, _field(hint)))
+    return np.dtype(fields, align=True)
+
+
+def _field(kind: type) -> np.dtype[Any]:
+    # A `bool` is stored as such; whole numbers have 64 bits on every platform.
+    return np.dtype({float: np.float64, int: np.int64, bool: np.bool_}.get(kind) or layout(kind))

@@ -1,10 +1,13 @@
 """The one door to numba's compiler, typed, so that a compiled law keeps its signature for readers and checkers."""
 
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 import numba
+from numba.core import types
+from numba.extending import overload
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -26,6 +29,31 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
     loop costs several times the arithmetic.
     """
     return numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)
+
+
+def by_field(field: str, argument: str, having: Callable[..., R], lacking: Callable[P, R]) -> Callable[P, R]:
+    """Return a function for kernels that is `having` where an argument's record has a field, and else `lacking`.
+
+    "settings.rtol" is a field of a record within the record.
+
+    Both are plain functions. They are compiled into the kernels that call them, each only where its type of record
+    comes up. Kernels alone can call the function that is returned.
+    """
+    place = list(inspect.signature(having).parameters).index(argument)
+
+    def chosen(*args: P.args, **kwargs: P.kwargs) -> R:
+        raise TypeError(f"{having.__name__} or {lacking.__name__}: only kernels choose by the type of a record")
+
+    @overload(chosen, strict=False, jit_options={"error_model": "numpy", "nogil": True})
+    def _choose(*args: types.Type) -> Callable[..., R]:  # pyright: ignore[reportUnusedFunction] - numba calls it
+        record = args[place]
+        for name in field.split("."):
+            if not (isinstance(record, types.Record) and name in record.fields):
+                return lacking
+            record = record.typeof(name)
+        return having
+
+    return chosen
 
 
 def drop_stale_kernels(package: Path) -> int:

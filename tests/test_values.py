@@ -154,10 +154,10 @@ def test_values_can_be_pickled_copied_and_compared(name):
 
 def test_a_copied_machine_reaches_the_kernels_as_the_one_it_was_copied_from():
     for machine in (MACHINE, DRIVE, MACHINE.with_collapse("dynamic")):
-        machine.arrays, machine.openings  # noqa: B018 - what is cached does not travel
+        machine.record, machine.openings  # noqa: B018 - what is cached does not travel
         other = pickle.loads(pickle.dumps(machine))
-        assert "arrays" not in vars(other)
-        assert numba.typeof(other.arrays) == numba.typeof(machine.arrays)
+        assert "record" not in vars(other)
+        assert numba.typeof(other.record) == numba.typeof(machine.record)
         assert numba.typeof(other.openings) == numba.typeof(machine.openings)
     found = model()
     other = pickle.loads(pickle.dumps(found))

@@ -7,7 +7,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.openings import cut_schedule
+from ltvpneu.models.machine.openings import step_means
 from ltvpneu.models.machine.supply_flow import source_flow, supply_flow_tangents
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.system import PeriodicSystem
@@ -40,7 +40,7 @@ def with_air_use(model: LtvModel) -> PeriodicSystem:
     """
     system, machine = model.system, model.machine
     slopes, inputs, offsets = supply_flow_tangents(
-        model.operating_points, _step_areas(model), LEAST_DISTANCE, machine.arrays
+        model.operating_points, _step_areas(model), LEAST_DISTANCE, machine.record
     )
     return replace(
         system,
@@ -75,21 +75,17 @@ def mean_flow(machine: Machine, orbit: Orbit, *, from_supply: bool) -> float:
     """Return the mean mass flow out of the supply, or out of the exhaust, over an orbit [kg/s]."""
     period = orbit.system_period
     own = np.mod(orbit.step_times / period, 1.0)
-    cells = np.unique(np.round(np.concatenate([np.linspace(0.0, 1.0, PARTS + 1), own]), 12))
-    schedule = cut_schedule(machine.openings, cells, 1.0)[0]
-    starts, spans = schedule.times[:-1], np.diff(schedule.times)
+    cells, table = np.unique(np.round(np.concatenate([np.linspace(0.0, 1.0, PARTS + 1), own]), 12)), machine.openings
+    cuts = np.union1d(cells, table.fractions)
+    starts, spans = cuts[:-1], np.diff(cuts)
     within = 0.5 * (NODES + 1)
     times = (starts[:, None] + within * spans[:, None]).ravel()
-    begin, end = schedule.areas[:, None, (0, 2)], schedule.areas[:, None, (1, 3)]
-    with np.errstate(invalid="ignore"):
-        between = begin + within[:, None, None] * (end - begin)
-    # Not interpolated where equal: an absent second restriction is infinite at both ends.
-    areas = np.where(begin == end, begin, between).reshape(times.size, *begin.shape[2:])
+    areas = table.areas_at(times, table.pieces_at(times))
     weights = (0.5 * WEIGHTS * spans[:, None]).ravel()
     total = 0.0
     for number in range(orbit.n_periods):
         states = np.ascontiguousarray(orbit.at((times + number) * period)[: len(machine.states)].T)
-        total += float(weights @ source_flow(states, areas, from_supply, machine.arrays))
+        total += float(weights @ source_flow(states, areas, from_supply, machine.record))
     return total / orbit.n_periods
 
 
@@ -100,5 +96,5 @@ def _step_areas(model: LtvModel) -> FloatArray:
     for number in range(max(1, round(float(shares[-1])))):
         cells = shares[(shares > number - 1e-9) & (shares < number + 1 + 1e-9)] - number
         cells[0], cells[-1] = 0.0, 1.0
-        found.append(cut_schedule(model.machine.openings, cells, 1.0)[2])
+        found.append(step_means(model.machine.openings, cells))
     return np.concatenate(found)

@@ -254,7 +254,9 @@ def operating_box(
     >>> box.shape
     (4, 3, 3)
     """
-    if len(machine.states) != 2 + len(machine.cylinder.chambers) or (machine.arrays.paths[:, 1] >= 0).any():
+    if len(machine.states) != 2 + len(machine.cylinder.chambers) or any(
+        path.source >= 0 for path in machine.path_fields
+    ):
         raise ValueError(
             f"machine: found states {', '.join(machine.states)}, or flow between its volumes; expected a box over "
             "position and one pressure a chamber that no other volume feeds, since other entries change together. "
@@ -298,7 +300,7 @@ def _entry_ranges(
         for k, (low, high) in enumerate(pressures):
             grid[:, :, 2 + k] = low + shares * (high - low)
         flat = grid.reshape(-1, n)
-        A, _ = tangents(flat, np.broadcast_to(openings, (len(flat), *openings.shape)).copy(), machine.arrays, False)
+        A, _ = tangents(flat, np.broadcast_to(openings, (len(flat), *openings.shape)).copy(), machine.record, False)
         if not np.isfinite(A).all():
             raise ValueError(
                 "pressures: found a range that holds the pressure of an open source, where the flow's slope is "

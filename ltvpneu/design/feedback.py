@@ -19,9 +19,10 @@ from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.models.cycles.sensitivity import nonlinear_jacobians
 from ltvpneu.models.cycles.turns import TOLERANCE
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.openings import schedule_of
-from ltvpneu.models.nonlinear.integrator import OK, integrate_period
-from ltvpneu.models.nonlinear.runge_kutta import Run
+from ltvpneu.models.machine.openings import pieces_of
+from ltvpneu.models.nonlinear.integrator import OK
+from ltvpneu.models.nonlinear.runge_kutta import new_run
+from ltvpneu.models.nonlinear.settle import integrate_period
 from ltvpneu.models.nonlinear.simulation import DormandPrince, integration_settings, nonlinear_orbit, trajectory_of
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic import bridge
@@ -91,7 +92,7 @@ def duty_model(
     by_state, by_input = nonlinear_jacobians(machine, frequency, orbit, [INPUTS[name] for name in inputs])
     n = len(machine.states)
     pushes = np.zeros(n)
-    pushes[2 : 2 + machine.n_volumes] = machine.arrays.chambers[:, 3]
+    pushes[2 : 2 + machine.n_volumes] = [volume.push_area for volume in machine.volume_fields]
     C = np.array([np.eye(n)[0], by_state[3][0], pushes @ by_state[3]])
     D = np.array([np.zeros(len(inputs)), by_input[3][0], pushes @ by_input[3]])
     names = machine.states, tuple(inputs), ("position", "mean_position", "force")
@@ -219,13 +220,13 @@ def simulate_closed_loop(
         n_held += made != asked
         duties[number] = valve.open_share(made, frequency)
         present = machine.with_duty(float(duties[number]))
-        schedule = schedule_of(present.openings, period)
-        outcome = integrate_period(state, Run(schedule, present.arrays, settings), True)
+        pieces = pieces_of(present.openings, period)
+        outcome = integrate_period(state, new_run(present.record, settings, pieces))
         if outcome.status != OK:
             raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
         trajectory = trajectory_of(outcome.record)
         mean = means[number] = float(trajectory.means()[0])
-        local = np.union1d(np.linspace(0.0, period, POINTS_PER_PERIOD + 1), schedule.times)[:-1]
+        local = np.union1d(np.linspace(0.0, period, POINTS_PER_PERIOD + 1), pieces["begin"])[:-1]
         times.append(number * period + local)
         states.append(trajectory.at(local).T)
         state = outcome.state

@@ -8,7 +8,6 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu.face.study import Case, Study
 from ltvpneu.models.linear.error_estimate import ErrorEstimate
-from ltvpneu.models.machine.arrays import CONDUCTANCE, WALL_TEMPERATURE, temperature_place
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import Attractors, describe
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
@@ -121,13 +120,13 @@ def medium_text(machine: Machine) -> str:
 
 def process_text(machine: Machine, k: int) -> str:
     """Return the thermal process of volume k."""
-    arrays = machine.arrays
+    volume = machine.volume_fields[k]
     if isinstance(machine.gas, Liquid):
         return "by its bulk modulus"
-    if temperature_place(k, arrays) >= 0:
-        conductance, wall = arrays.chambers[k, CONDUCTANCE], arrays.chambers[k, WALL_TEMPERATURE]
+    if volume.temperature_place >= 0:
+        conductance, wall = volume.conductance, volume.wall_temperature
         return f"energy balance, wall {conductance:.3g} W/K at {wall:.5g} K" if conductance else "adiabatic"
-    exponent = arrays.chambers[k, 2]
+    exponent = volume.polytropic_exponent
     return "isothermal" if exponent == 1 else f"polytropic, n = {exponent:.4g}"
 
 

@@ -7,7 +7,7 @@ a path and its slopes; and where the medium's laws end. The ideal gas has its ow
 
 import math
 import warnings
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
@@ -28,11 +28,13 @@ The stiffness at that edge falls with its root; orbits of Table 1's machine move
 nearer, by 1e-4 at one ten times further."""
 COLDEST_EXPECTED = 100.0
 """Temperature below which a number is more likely degrees than kelvin [K]."""
+MAX_TABLE = 8192
+"""Most numbers that a medium's table may have: the room in a record."""
 ROUNDING = 1e-15
 """Relative drop of a pressure that is nothing but rounding [-]."""
 
 
-class MediumArrays(NamedTuple):
+class MediumFields(NamedTuple):
     """A medium as the compiled kernels read it."""
 
     kind: int
@@ -44,8 +46,8 @@ class MediumArrays(NamedTuple):
     another or has a temperature of its own would creep along that edge in tiny steps."""
     gas: GasConstants
     """Of an ideal gas, or of one like a real gas."""
-    table: FloatArray
-    """Parameters of a medium that is not an ideal gas."""
+    table: Annotated[FloatArray, MAX_TABLE]
+    """Parameters of a medium that is not an ideal gas; zeros beyond their number."""
 
 
 def warn_if_cold(name: str, temperature: float) -> None:
@@ -82,7 +84,7 @@ def check_process(name: str, exponent: float, balance: EnergyBalance | None, med
 
 
 @compiled
-def properties(pressure: float, temperature: float, medium: MediumArrays) -> Properties:
+def properties(pressure: float, temperature: float, medium: MediumFields) -> Properties:
     """Density and internal energy of a medium at a pressure [Pa] and a temperature [K], with derivatives."""
     if medium.kind == IDEAL:
         return ideal_properties(pressure, temperature, medium.gas)
@@ -92,7 +94,7 @@ def properties(pressure: float, temperature: float, medium: MediumArrays) -> Pro
 
 
 @compiled
-def in_range(pressure: float, temperature: float, medium: MediumArrays) -> bool:
+def in_range(pressure: float, temperature: float, medium: MediumFields) -> bool:
     """Whether a medium's laws hold at a pressure [Pa] and a temperature [K]."""
     if not (pressure > 0.0 and temperature > 0.0):
         return False
@@ -113,7 +115,7 @@ class Flow(NamedTuple):
 
 
 @compiled
-def _through(area: float, upstream: float, downstream: float, temperature: float, medium: MediumArrays) -> Flow:
+def _through(area: float, upstream: float, downstream: float, temperature: float, medium: MediumFields) -> Flow:
     """Flow through one restriction of a real gas or a liquid."""
     if area == 0.0:
         return Flow(0.0, 0.0, 0.0, 0.0)
@@ -126,7 +128,7 @@ def _through(area: float, upstream: float, downstream: float, temperature: float
 
 @compiled
 def _pressure_between(
-    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumArrays
+    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumFields
 ) -> float:
     """Pressure between two restrictions in series that pass the same flow [Pa], by bisection.
 
@@ -147,7 +149,7 @@ def _pressure_between(
 
 @compiled
 def _forward(
-    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumArrays
+    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumFields
 ) -> Flow:
     """Flow through the two effective areas of a path, the second infinite where there is none."""
     if areas[0] == 0.0 or areas[1] == 0.0:
@@ -184,7 +186,7 @@ def _forward(
 
 @compiled
 def _laminar(
-    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumArrays
+    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumFields
 ) -> Flow:
     """Flow that is proportional to the difference of the pressures, up to that of eq. (5) where laminar flow ends."""
     share = medium.laminar
@@ -197,7 +199,7 @@ def _laminar(
 
 @compiled
 def path_flow_slopes(
-    first: float, second: float, source: GasState, chamber: GasState, medium: MediumArrays
+    first: float, second: float, source: GasState, chamber: GasState, medium: MediumFields
 ) -> tuple[float, float, float, float]:
     """Mass flow from a source into a chamber [kg/s] and its slopes.
 
@@ -206,7 +208,7 @@ def path_flow_slopes(
     first, second : float
         Effective areas C A [m^2] on the side of the source and of the chamber; `second` infinite where there is none.
     source, chamber : GasState
-    medium : MediumArrays
+    medium : MediumFields
 
     Returns
     -------
@@ -227,7 +229,7 @@ def path_flow_slopes(
 
 
 @compiled
-def path_flow(first: float, second: float, source: GasState, chamber: GasState, medium: MediumArrays) -> float:
+def path_flow(first: float, second: float, source: GasState, chamber: GasState, medium: MediumFields) -> float:
     """Mass flow from a source into a chamber [kg/s], as of `path_flow_slopes`."""
     high = max(source.pressure, chamber.pressure)
     if medium.kind == IDEAL and abs(source.pressure - chamber.pressure) >= medium.laminar * high:

@@ -34,7 +34,7 @@ def test_the_sampled_model_is_the_derivative_of_the_nonlinear_machine(machine):
     gains = model.dcgain()
     for column, parameter in enumerate(slopes.parameters):
         assert gains[1, column] == pytest.approx(slopes.mean("position", parameter), rel=1e-3)
-    pushes = machine.arrays.chambers[0, 3] * slopes.mean("pressure_1", "duty")
+    pushes = machine.volume_fields[0].push_area * slopes.mean("pressure_1", "duty")
     assert gains[2, 0] == pytest.approx(pushes, rel=1e-3)
 
 

@@ -14,9 +14,9 @@ import ltvpneu as lp
 from ltvpneu.errors import CavitationError, GasRangeError
 from ltvpneu.models.linear.linearize import areas_at
 from ltvpneu.models.linear.staircase import staircase
-from ltvpneu.models.machine.arrays import N_INPUTS
 from ltvpneu.models.machine.dynamics import state_rate
 from ltvpneu.models.machine.quasi_static import settled_states
+from ltvpneu.models.machine.records import GENERAL, N_INPUTS
 from ltvpneu.models.machine.tangent import state_tangent
 from ltvpneu.physics.gas import GasState
 from ltvpneu.physics.medium import path_flow, path_flow_slopes
@@ -71,10 +71,10 @@ def test_the_full_tangent_equals_differences(name, values, angle):
 def test_the_short_cut_of_the_papers_case_equals_the_general_equations(name, values, angle):
     machine = MACHINES[name]
     state, areas = states_of(machine, values), areas_at(machine, angle)
-    assert machine.arrays.plain
-    general = machine.arrays._replace(plain=False)
+    assert machine.is_plain
+    general = machine.as_record(GENERAL)
     short, long = np.empty(state.size), np.empty(state.size)
-    state_rate(state, areas, 1, machine.arrays, short)
+    state_rate(state, areas, 1, machine.record, short)
     state_rate(state, areas, 1, general, long)
     # Where flows cancel, what is left of them is rounding.
     np.testing.assert_allclose(long, short, rtol=1e-9, atol=1e-9 * np.abs(short).max())
@@ -82,7 +82,7 @@ def test_the_short_cut_of_the_papers_case_equals_the_general_equations(name, val
         n = state.size
         A, C = np.empty((n, n)), np.empty((n, n))
         B, D = np.empty((n, N_INPUTS)), np.empty((n, N_INPUTS))
-        state_tangent(state, areas, machine.arrays, True, A, B)
+        state_tangent(state, areas, machine.record, True, A, B)
         state_tangent(state, areas, general, True, C, D)
         assert relative_error(C, A, machine.state_scales) < 1e-9
         assert relative_error(D, B, machine.state_scales) < 1e-9
@@ -283,11 +283,11 @@ def test_several_inner_volumes_each_have_a_pressure_of_their_own(table_1):
 def test_volumes_shut_off_from_every_source_share_what_they_hold(table_1):
     """With the offset, the valve's volume is for a while open to the chamber alone, and then to nothing."""
     machine = replace(EXTENSIONS["dynamic, offset"], flow_paths=())
-    arrays, start = machine.arrays, np.array(machine.rest_state)
+    start = np.array(machine.rest_state)
     # Supply 0 to 180 degrees, chamber -60 to 120: shut off from the supply, open to the chamber at 330 degrees.
     areas = areas_at(machine, math.radians(330))
     start[2], start[3] = 3e5, 1e5
-    found = settled_states(areas[None], arrays, start)[0]
+    found = settled_states(areas[None], machine.record, start)[0]
     mean = (8.2e-6 * 3e5 + 4.1e-6 * 1e5) / 12.3e-6
     assert found[2:] == pytest.approx([mean, mean])
 
@@ -296,7 +296,7 @@ def test_volumes_shut_off_from_every_source_share_what_they_hold(table_1):
 def test_at_quasi_static_states_nothing_moves(name):
     machine = EXTENSIONS[name].without_dry_friction()
     stairs = staircase(machine, machine.openings.fractions.size - 1)
-    states = settled_states(stairs.areas, machine.arrays, np.array(machine.rest_state))
+    states = settled_states(stairs.areas, machine.record, np.array(machine.rest_state))
     for state, areas in zip(states, stairs.areas, strict=True):
         found = rate(machine, state, areas)[2:] / machine.state_scales[2:]
         # Bisection to the last bit of a pressure, through flows with steep slopes. A real gas warms or cools a little
@@ -308,7 +308,7 @@ def test_at_quasi_static_states_nothing_moves(name):
 @pytest.mark.parametrize("ratio", [1e4, 1e6, 1e8, 1e10])
 @pytest.mark.parametrize("narrow_first", [True, False])
 def test_a_restriction_much_wider_than_the_other_is_none(table_1, gas, ratio, narrow_first):
-    medium = table_1.with_gas(gas).with_collapse("in_series").with_thermal("isothermal").arrays.medium
+    medium = table_1.with_gas(gas).with_collapse("in_series").with_thermal("isothermal").as_record(GENERAL)["medium"]
     areas = (1e-6 / ratio, 1e-6) if narrow_first else (1e-6, 1e-6 / ratio)
     source = GasState(4e5, 293.15)
     for downstream in (1e5, 3.99e5, 4e5 * (1 - 3e-6)):
@@ -323,7 +323,7 @@ def test_a_restriction_much_wider_than_the_other_is_none(table_1, gas, ratio, na
 @pytest.mark.parametrize("share", [3e-6, 5e-5, 9e-5])
 @pytest.mark.parametrize("reverse", [True, False])
 def test_slopes_of_the_laminar_flow_equal_differences(table_1, gas, collapse, share, reverse):
-    medium = table_1.with_gas(gas).with_collapse(collapse).with_thermal("adiabatic").arrays.medium
+    medium = table_1.with_gas(gas).with_collapse(collapse).with_thermal("adiabatic").as_record(GENERAL)["medium"]
     areas = (3e-6, 2e-6) if collapse == "in_series" else (3e-6, math.inf)
     base = np.array([4e5, 4e5 * (1 - share), 280.0, 320.0])
     if reverse:

@@ -84,7 +84,7 @@ def slots_of(
     matrices[:, : n + 1, n + 1 :] = np.eye(n + 1)
     whole_maps = exponentials(matrices)
     maps, means = whole_maps[:, : n + 1, : n + 1], whole_maps[:, : n + 1, n + 1 :]
-    rows, inputs, offsets = supply_flow_tangents(points, areas, 1e-3, machine.arrays)
+    rows, inputs, offsets = supply_flow_tangents(points, areas, 1e-3, machine.record)
     return Slots(
         maps=maps[:, :n, :n],
         moves=maps[:, :n, n],

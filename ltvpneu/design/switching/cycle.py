@@ -1,6 +1,5 @@
 """A machine's cycle as cvxpy expressions, about the present setting of what is being designed."""
 
-import math
 from difflib import get_close_matches
 from typing import Literal, final
 
@@ -11,10 +10,8 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import finite_array
 from ltvpneu.design.switching.subproblem import FigureBlock
 from ltvpneu.models.cycles.figures import Figure
-from ltvpneu.models.machine.arrays import SUPPLY
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.physics.gas import GasState
-from ltvpneu.physics.medium import path_flow
+from ltvpneu.models.machine.supply_flow import source_flow
 
 
 @final
@@ -97,9 +94,8 @@ def signal_scales(machine: Machine) -> dict[str, float]:
 
 def _flow_size(machine: Machine) -> float:
     """Return the size of flows from the supply: what the largest openings pass when choked [kg/s]."""
-    areas = machine.openings.areas[:, 0][:, machine.arrays.paths[:, 1] == SUPPLY]
-    arrays = machine.arrays
-    largest = float(np.sum(np.max(areas, axis=0))) if areas.size else 0.0
-    back = GasState(max(machine.exhaust_pressure, 0.4 * machine.supply_pressure), machine.gas.temperature)
-    flow = path_flow(largest, math.inf, arrays.supply, back, arrays.medium)
-    return flow or 1.0
+    state = machine.rest_state.copy()
+    state[2 : 2 + machine.n_volumes] = max(machine.exhaust_pressure, 0.4 * machine.supply_pressure)
+    largest = np.max(machine.openings.areas[:, 0], axis=0)
+    areas = np.array([[largest, np.full_like(largest, np.inf)]])
+    return float(source_flow(state[None], areas, True, machine.record)[0]) or 1.0

@@ -12,10 +12,9 @@ from ltvpneu._arrays import FloatArray, IntArray
 from ltvpneu._compiled import compiled
 from ltvpneu.models.linear.march import Plan, Steps, march_period
 from ltvpneu.models.machine.dynamics import STUCK
-from ltvpneu.models.machine.openings import Schedule
+from ltvpneu.models.machine.openings import PIECE, write_areas
 from ltvpneu.models.machine.supply_flow import source_flow
 from ltvpneu.models.nonlinear.integrator import OK
-from ltvpneu.models.nonlinear.runge_kutta import Run
 from ltvpneu.periodic.small import apply, exponential
 
 INTERVALS = 32
@@ -54,46 +53,33 @@ class Turn(NamedTuple):
 @compiled
 def _cell_plan(cell: int, duration: float, plan: Plan) -> Plan:
     """Return the plan of one cell alone; a cell is one piece of the openings, or a part of one."""
-    schedule = plan.run.schedule
-    return Plan(
-        Run(
-            Schedule(
-                np.array([0.0, duration]), schedule.areas[cell : cell + 1], schedule.ramped[cell : cell + 1].copy()
-            ),
-            plan.run.machine,
-            plan.run.settings,
-        ),
-        np.arange(2),
-        plan.areas[cell : cell + 1].copy(),
-        plan.scales,
-        plan.fitted,
-        plan.distance,
-        plan.tolerance,
-        plan.max_iterations,
-    )
+    n_paths, pieces, areas = plan.areas.shape[2], np.empty(1, PIECE), np.empty((1, 2, plan.areas.shape[2]))
+    # Field by field: a record that is copied whole takes seconds to compile.
+    piece, whole = pieces[0], plan.pieces[cell]
+    piece.begin, piece.end, piece.ramped = 0.0, duration, whole.ramped
+    for path in range(n_paths):
+        for row in range(4):
+            piece.areas[row, path] = whole.areas[row, path]
+        for row in range(2):
+            areas[0, row, path] = plan.areas[cell, row, path]
+    return Plan(plan.records, pieces, np.arange(2), areas, plan.scales)
 
 
 @compiled
 def _mass_drawn(row: int, begin: float, one: Plan, steps: Steps) -> float:
     """Return the mass that one step takes from the supply, by the law of the flow along the step's own motion [kg]."""
-    n, duration = one.scales.size, steps.table[row, 2]
-    areas, whole = one.run.schedule.areas, one.run.schedule.times[1]
+    n, duration, nodes = one.scales.size, steps.durations[row], 2 * INTERVALS + 1
     map_, mean = np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
     exponential(steps.matrices[row], duration / (2 * INTERVALS), map_, mean)
-    states = np.empty((2 * INTERVALS + 1, n))
-    openings = np.empty((2 * INTERVALS + 1, 2, areas.shape[2]))
+    states, openings = np.empty((nodes, n)), np.empty((nodes, 2, one.areas.shape[2]))
     state, following = steps.starts[row].copy(), np.empty(n + 1)
-    for node in range(2 * INTERVALS + 1):
-        share = (begin + duration * node / (2 * INTERVALS)) / whole
+    for node in range(nodes):
         for i in range(n):
             states[node, i] = state[i] * one.scales[i]
-        for restriction in range(2):
-            for path in range(areas.shape[2]):
-                first, last = areas[0, 2 * restriction, path], areas[0, 2 * restriction + 1, path]
-                openings[node, restriction, path] = first if first == last else first + share * (last - first)
+        write_areas(begin + duration * node / (2 * INTERVALS), one.pieces[0], openings[node])
         apply(map_, state, following)
         state, following = following, state
-    flows = source_flow(states, openings, True, one.run.machine)
+    flows = source_flow(states, openings, True, one.records[0].run.machine)
     total = flows[0] + flows[-1]
     for node in range(1, 2 * INTERVALS):
         total += flows[node] * (4.0 if node % 2 else 2.0)
@@ -134,11 +120,11 @@ def march_cells(cells: Cells, plan: Plan, steps: Steps, probes: Probes, with_flo
             begun[number + 1] = marched.state
         time = 0.0
         for row in range(marched.n_steps):
-            duration = steps.table[row, 2]
+            duration = steps.durations[row]
             exponential(steps.matrices[row], duration, map_, mean)
             apply(mean, steps.starts[row], work)
             for i in range(n):
-                if i != 1 or steps.table[row, 1] != STUCK:
+                if i != 1 or steps.modes[row] != STUCK:
                     integrals[number, i] += work[i] * duration
             if with_flow:
                 flows[number] += _mass_drawn(row, time, one, steps)

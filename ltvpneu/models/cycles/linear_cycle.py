@@ -24,7 +24,7 @@ from ltvpneu.models.cycles.figures import CycleFigures, Figure, Slopes
 from ltvpneu.models.cycles.turns import STATE_STEP, TOLERANCE
 from ltvpneu.models.linear.march import Plan, Steps, march_period
 from ltvpneu.models.linear.model import LtvModel
-from ltvpneu.models.linear.own_cycle import Found, Question, as_model, new_steps, trajectory_of_steps
+from ltvpneu.models.linear.own_cycle import Found, Question, as_model, new_steps, together, trajectory_of_steps
 from ltvpneu.models.linear.repeat import Repeated
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.machine import Machine
@@ -65,7 +65,7 @@ class LinearCycle(Value):
         for _ in range(self.n_turns):
             steps = new_steps(self.question, self.cells)
             marched = march_period(state, self.plan, steps)
-            found.append(Steps(*(part[: marched.n_steps] for part in steps)))
+            found.append(steps.cut_to(marched.n_steps))
             state = marched.state
         return tuple(found)
 
@@ -84,7 +84,7 @@ class LinearCycle(Value):
 
     def expect_unique(self) -> None:
         """Raise where the piston rests in a stiction band."""
-        if any((steps.table[:, 1] == STUCK).all() for steps in self.periods) and not self.model.orbit.is_isolated:
+        if any((steps.modes == STUCK).all() for steps in self.periods) and not self.model.orbit.is_isolated:
             free = np.zeros((self.plan.scales.size, 1))
             free[0] = 1.0
             raise NonUniqueOrbitError(
@@ -99,7 +99,7 @@ class LinearCycle(Value):
     ) -> CycleFigures:
         """Return figures and derivatives; `slopes` gives those of the cells' durations, (n_cells, n_parameters)."""
         scales, n = self.plan.scales, self.plan.scales.size
-        durations = np.tile(np.diff(self.plan.run.schedule.times), self.n_turns)
+        durations = np.tile(self.plan.pieces["end"] - self.plan.pieces["begin"], self.n_turns)
         probes, known = self._probes(asked)
         differ = _Differences(self, probes, any(figure.kind == "air_use" for figure in asked), durations)
         base = differ.base
@@ -167,15 +167,14 @@ class LinearCycle(Value):
     def _extremes(self, state: int) -> "_Extremes":
         n_cells, turns = self.cells.size - 1, np.arange(self.n_turns)
         per_piece = n_cells // (self.question.machine.openings.fractions.size - 1)
-        counts = [steps.table.shape[0] for steps in self.periods]
-        table = np.concatenate([steps.table for steps in self.periods])
-        cells = table[:, 0].astype(np.int64) + n_cells * np.repeat(turns, counts)
+        steps, counts = together(self.periods), [period.cells.size for period in self.periods]
+        cells = steps.cells + n_cells * np.repeat(turns, counts)
         first = np.searchsorted(cells, cells)
         found = _Extremes({}, {})
         for step, (low, high) in enumerate(self._trajectory.step_extremes(state)):
             for kept, extreme, sign in ((found.low, low, -1), (found.high, high, 1)):
                 cell, row = int(cells[step]), step - int(first[step])
-                share = min(extreme.time / float(table[step, 2]), 1.0)
+                share = min(extreme.time / float(steps.durations[step]), 1.0)
                 piece = cell % n_cells // per_piece
                 present = kept.get(piece)
                 if present is None or sign * extreme.value > sign * present[0]:
@@ -259,7 +258,7 @@ class _Differences:
         plan, starts = self.cycle.plan, self.base.starts
         N, n = starts.shape[0], starts.shape[1] - 1
         found, probes = np.empty((N, 2 * n + 1, n)), np.empty((self.K, n, n))
-        machine, length = plan.run.machine, plan.scales[0]
+        machine, length = self.cycle.question.machine.record, plan.scales[0]
         away = np.array([-at_stop(float(x) * length, machine) for x in starts[:, 0]])
         for j in range(n):
             move = np.zeros((N, n + 1))
@@ -298,8 +297,8 @@ class _Differences:
             machine, cells = self.cycle.changed_at({**self.cycle.settings, name: moved})
             plan = replace(question, machine=machine).plan(cells, TOLERANCE)
             # In the present scales, which may follow the parameter.
-            run = plan.run._replace(settings=self.cycle.plan.run.settings)
-            plan = plan._replace(run=run, scales=self.cycle.plan.scales)
+            plan.records["run"]["settings"] = self.cycle.plan.records["run"]["settings"]
+            plan = plan._replace(scales=self.cycle.plan.scales)
             turns.append(self._march(plan, self.base.starts, self.durations, False))
         return self._between(turns[0], turns[1], high - low)
 

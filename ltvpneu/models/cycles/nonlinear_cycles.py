@@ -133,14 +133,11 @@ def _mass_drawn(record: Record, machine: Machine, frequency: float) -> float:
     local = 0.5 * (_NODES + 1) * record.spans[:, None]
     states = np.einsum("itk,ikn->itn", local[:, :, None] ** np.arange(5), record.coefficients)
     turn = np.mod(record.starts * frequency + 1e-12, 1.0)[:, None] + local * frequency
-    share = (turn - table.fractions[pieces, None]) / np.diff(table.fractions)[pieces, None]
-    begin, end = table.areas[pieces][:, None, (0, 2)], table.areas[pieces][:, None, (1, 3)]
-    with np.errstate(invalid="ignore"):
-        areas = np.where(begin == end, begin, begin + share[:, :, None, None] * (end - begin))
+    areas = table.areas_at(turn, np.broadcast_to(pieces[:, None], turn.shape))
     flows = source_flow(
         np.ascontiguousarray(states.reshape(-1, states.shape[2])),
         np.ascontiguousarray(areas.reshape(-1, *areas.shape[2:])),
         True,
-        machine.arrays,
+        machine.record,
     )
     return float((0.5 * _WEIGHTS * record.spans[:, None]).ravel() @ flows)

@@ -19,11 +19,12 @@ from ltvpneu._arrays import BoolArray, FloatArray, finite_array, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import NotSettledError
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.openings import schedule_of
+from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.attractors import Attractors, attractors
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
-from ltvpneu.models.nonlinear.integrator import OK, integrate_period
-from ltvpneu.models.nonlinear.runge_kutta import Run
+from ltvpneu.models.nonlinear.integrator import OK
+from ltvpneu.models.nonlinear.runge_kutta import new_run
+from ltvpneu.models.nonlinear.settle import integrate_period
 from ltvpneu.models.nonlinear.simulation import integration_settings
 from ltvpneu.physics.valve import check_duty
 
@@ -292,13 +293,14 @@ def grid_of(duties: ArrayLike, frequencies: ArrayLike) -> tuple[FloatArray, Floa
 
 def _lyapunov_exponent(machine: Machine, frequency: float, state: FloatArray) -> float:
     """Return the mean logarithm by which a neighbour draws away in a valve period, set near again after each."""
-    run = Run(schedule_of(machine.openings, 1 / frequency), machine.arrays, integration_settings(machine, 1e-11))
+    pieces = pieces_of(machine.openings, 1 / frequency)
+    run = new_run(machine.record, integration_settings(machine, 1e-11), pieces)
     scales = machine.state_scales
     apart = np.zeros(scales.size)
     apart[0] = NEIGHBOUR
     total, counted = 0.0, 0
     for _ in range(CHAOS_PERIODS):
-        one, other = integrate_period(state, run, False), integrate_period(state + apart * scales, run, False)
+        one, other = integrate_period(state, run), integrate_period(state + apart * scales, run)
         if one.status != OK or other.status != OK:
             break
         difference = (other.state - one.state) / scales

@@ -10,11 +10,12 @@ from ltvpneu.errors import NotConvergedError
 from ltvpneu.models.linear.march import Steps, march_period
 from ltvpneu.models.linear.own_cycle import Question, new_steps
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.openings import schedule_of
+from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.machine.parameters import STEP, around, present_value, with_values
 from ltvpneu.models.machine.piston import at_stop
-from ltvpneu.models.nonlinear.integrator import OK, Record, integrate_period
-from ltvpneu.models.nonlinear.runge_kutta import Run
+from ltvpneu.models.nonlinear.integrator import OK, Record
+from ltvpneu.models.nonlinear.runge_kutta import new_run
+from ltvpneu.models.nonlinear.settle import integrate_period
 from ltvpneu.models.nonlinear.simulation import integration_settings, joined
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic.orbit import Trajectory
@@ -64,17 +65,18 @@ def march_beside(
                 residual=marched.defect,
                 iterations=1,
             )
-        parts.append(Steps(*(part[: marched.n_steps].copy() for part in steps)))
+        parts.append(steps.cut_to(marched.n_steps))
         state = marched.state
     return state[:-1] * scales, parts
 
 
 def nonlinear_turn(start: FloatArray, machine: Machine, frequency: float, n_periods: int) -> tuple[FloatArray, Record]:
     """Integrate the nonlinear model over some periods, tightly; return where it gets to and the way there."""
-    run = Run(schedule_of(machine.openings, 1 / frequency), machine.arrays, integration_settings(machine, TOLERANCE))
+    pieces = pieces_of(machine.openings, 1 / frequency)
+    run = new_run(machine.record, integration_settings(machine, TOLERANCE), pieces)
     state, records = start, list[Record]()
     for number in range(n_periods):
-        outcome = integrate_period(state, run, True)
+        outcome = integrate_period(state, run)
         if outcome.status != OK:
             raise_stopped(machine, outcome.status, number / frequency + outcome.time, outcome.state)
         records.append(outcome.record)
@@ -101,7 +103,7 @@ def slopes_along_turn(
     machine, frequency, start = at
     scales, n = machine.state_scales, len(machine.states)
     by_state: list[FloatArray] = []
-    away = -at_stop(float(start[0]), machine.arrays)
+    away = -at_stop(float(start[0]), machine.record)
     for j in range(n):
         move = np.zeros(n)
         move[j] = STATE_STEP * scales[j]

@@ -15,10 +15,10 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.machine.arrays import N_INPUTS, MachineArrays
 from ltvpneu.models.machine.chord import DECAY_AT_REST, Tangent, augmented, tangent_at
 from ltvpneu.models.machine.dynamics import STUCK
-from ltvpneu.models.machine.piston import after_event, margin_at, mode_of
+from ltvpneu.models.machine.piston import BREAKS_AWAY, LOWER_STOP, REVERSES, UPPER_STOP, after_event, margin_at, mode_of
+from ltvpneu.models.machine.records import N_INPUTS, MachineRecord
 from ltvpneu.periodic.small import apply, exponential
 from ltvpneu.physics.friction import holding_force
 
@@ -36,7 +36,6 @@ class Given(NamedTuple):
     areas: FloatArray
     """(n_cells, 2, n_paths)"""
     scales: FloatArray
-    machine: MachineArrays
     distance: float
 
 
@@ -56,11 +55,17 @@ class Swept(NamedTuple):
 
 
 @compiled
-def _first_event(
-    matrix: FloatArray, start: FloatArray, end: FloatArray, duration: float, mode: int, given: Given
+def _first_event(  # noqa: PLR0913 - compiled, and called from one place
+    matrix: FloatArray,
+    start: FloatArray,
+    end: FloatArray,
+    duration: float,
+    mode: int,
+    machine: MachineRecord,
+    scales: FloatArray,
 ) -> tuple[float, int]:
     """Return when within a linear step the first event happens, and its kind; -1 for none."""
-    n, machine = given.scales.size, given.machine
+    n = scales.size
     z, middle = np.empty(n), np.empty(n + 1)
     map_, mean = np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
     # Fine enough that the piston cannot turn and turn back unseen.
@@ -71,11 +76,13 @@ def _first_event(
         exponential(matrix, duration / parts, share, mean)
     first, found = duration, -1
     for kind in range(4):
-        if (kind == 3) != (mode == STUCK):
+        if (kind == BREAKS_AWAY) != (mode == STUCK):
             continue
-        if kind == 0 and holding_force(machine.load.dry_friction, machine.load.stiction) <= 0.0:
+        if kind == REVERSES and holding_force(machine.load.dry_friction, machine.load.stiction) <= 0.0:
             continue
-        if (kind == 1 and math.isinf(machine.load.lower_stop)) or (kind == 2 and math.isinf(machine.load.upper_stop)):
+        if kind == LOWER_STOP and math.isinf(machine.load.lower_stop):
+            continue
+        if kind == UPPER_STOP and math.isinf(machine.load.upper_stop):
             continue
         low, state, crossed = 0.0, start.copy(), False
         for part in range(parts):
@@ -84,7 +91,7 @@ def _first_event(
             else:
                 middle[:] = end
             for i in range(n):
-                z[i] = middle[i] * given.scales[i]
+                z[i] = middle[i] * scales[i]
             if margin_at(z, kind, mode, machine) < 0.0:
                 crossed = True
                 break
@@ -98,7 +105,7 @@ def _first_event(
             exponential(matrix, half, map_, mean)
             apply(map_, state, middle)
             for i in range(n):
-                z[i] = middle[i] * given.scales[i]
+                z[i] = middle[i] * scales[i]
             if margin_at(z, kind, mode, machine) >= 0.0:
                 low += half
                 state[:] = middle
@@ -117,9 +124,9 @@ def _note(state: FloatArray, lows: FloatArray, highs: FloatArray) -> None:
 
 
 @compiled
-def sweep(start: FloatArray, given: Given) -> Swept:
+def sweep(start: FloatArray, given: Given, machine: MachineRecord) -> Swept:
     """Follow the linear steps once over the staircase from a scaled augmented state, shape (n + 1,)."""
-    machine, scales = given.machine, given.scales
+    scales = given.scales
     n = scales.size
     found = Tangent(np.empty((n, n)), np.empty((n, N_INPUTS)), np.empty(n), np.zeros(n), np.empty(n))
     matrix, result, mean = np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
@@ -143,7 +150,7 @@ def sweep(start: FloatArray, given: Given) -> Swept:
             augmented(found.A, given.points[cell], found.rate, scales, matrix)
             exponential(matrix, left, result, mean)
             apply(result, state, end)
-            duration, kind = _first_event(matrix, state, end, left, mode, given)
+            duration, kind = _first_event(matrix, state, end, left, mode, machine, scales)
             if kind >= 0:
                 exponential(matrix, duration, result, mean)
                 apply(result, state, end)
@@ -166,13 +173,15 @@ def sweep(start: FloatArray, given: Given) -> Swept:
 
 
 @compiled
-def corrected(start: FloatArray, given: Given, tolerance: float, max_sweeps: int) -> tuple[Swept, float]:
+def corrected(
+    start: FloatArray, given: Given, machine: MachineRecord, tolerance: float, max_sweeps: int
+) -> tuple[Swept, float]:
     """Sweep until the state repeats; return the last sweep and the change that is left."""
     begin = start.copy()
     n = begin.size - 1
     change = math.inf
     while True:
-        swept = sweep(begin, given)
+        swept = sweep(begin, given, machine)
         last, change = change, 0.0
         for i in range(n):
             change = max(change, abs(swept.state[i] - begin[i]))

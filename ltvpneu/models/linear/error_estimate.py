@@ -115,7 +115,6 @@ class _Corrector(Value):
             points=points,
             areas=areas,
             scales=np.array(machine.state_scales),
-            machine=machine.arrays,
             distance=float(self.distance),
         )
 
@@ -146,7 +145,7 @@ class _Corrector(Value):
         held[:, 2:count] = np.clip(held[:, 2:count], lowest, highest)
         temperature = machine.gas.temperature
         held[:, count:] = np.clip(held[:, count:], LEAST_TEMPERATURE * temperature, MOST_TEMPERATURE * temperature)
-        for V, A in machine.arrays.chambers[: len(machine.cylinder.chambers), :2]:
+        for V, A, *_ in machine.volume_fields[: len(machine.cylinder.chambers)]:
             edge = -0.9 * V / A
             held[:, 0] = np.maximum(held[:, 0], edge) if A > 0 else np.minimum(held[:, 0], edge)
         return held
@@ -162,7 +161,7 @@ def error_estimate(machine: Machine, frequency: float, orbit: Orbit, distance: f
     start = np.append(orbit.initial_state / scales, 1.0)
     points = corrector.points(orbit)
     first = before = np.array([orbit.amplitude(0), orbit.mean(0)]) / scales[0]
-    best, change = corrected(start, corrector.given(points), 1e-7, 400)
+    best, change = corrected(start, corrector.given(points), machine.record, 1e-7, 400)
     is_reliable = best.is_finite and change < 1e-4
     for _ in range(MOST_CORRECTIONS - 1):
         after = np.array([(best.highs[0] - best.lows[0]) / 2, best.sums[0] / orbit.period])
@@ -170,7 +169,7 @@ def error_estimate(machine: Machine, frequency: float, orbit: Orbit, distance: f
         if not is_reliable or moved < max(SETTLED * error, NEGLIGIBLE * after[0]):
             break
         before, start, points = after, best.state, corrector.inside(best.means)
-        following, change = corrected(start, corrector.given(points), 1e-7, 400)
+        following, change = corrected(start, corrector.given(points), machine.record, 1e-7, 400)
         is_reliable = following.is_finite and change < 1e-4
         best = following if is_reliable else best
     # Held inside at the end, the points are not those of the cycle found, and its error is another.

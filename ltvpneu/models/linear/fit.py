@@ -12,8 +12,9 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.machine.arrays import MachineArrays, temperature_place
 from ltvpneu.models.machine.dynamics import STUCK, chamber_volume
+from ltvpneu.models.machine.records import MachineRecord, temperature_place
+from ltvpneu.models.nonlinear.integrator import POLYNOMIAL, SPAN
 from ltvpneu.periodic.small import solve
 
 RIDGE = 1e-6
@@ -28,24 +29,23 @@ _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 class Visited(NamedTuple):
     """A trajectory as polynomials over intervals of time."""
 
-    spans: FloatArray
-    """[s], (n_intervals,)"""
-    coefficients: FloatArray
-    """Ascending powers of the time since the start of each interval, (n_intervals, 5, n)."""
+    log: FloatArray
+    """The integrator's, (capacity, columns)."""
+    n_intervals: int
 
 
 @compiled
 def mean_visited(visited: Visited) -> FloatArray:
     """Return the time means over a trajectory, shape (n,)."""
-    count, _, n = visited.coefficients.shape
+    log, n = visited.log, (visited.log.shape[1] - POLYNOMIAL) // 5
     means, total = np.zeros(n), 0.0
-    for interval in range(count):
-        span = visited.spans[interval]
+    for interval in range(visited.n_intervals):
+        span = log[interval, SPAN]
         total += span
         factor = span
         for power in range(5):
             for i in range(n):
-                means[i] += visited.coefficients[interval, power, i] * factor / (power + 1)
+                means[i] += log[interval, POLYNOMIAL + power * n + i] * factor / (power + 1)
             factor *= span
     for i in range(n):
         means[i] /= total
@@ -53,9 +53,9 @@ def mean_visited(visited: Visited) -> FloatArray:
 
 
 @compiled
-def volume_of_row(row: int, machine: MachineArrays) -> int:
+def volume_of_row(row: int, machine: MachineRecord) -> int:
     """Return the volume whose pressure or temperature a row of the state holds."""
-    n_volumes = machine.chambers.shape[0]
+    n_volumes = machine.n_volumes
     if row < 2 + n_volumes:
         return row - 2
     for k in range(n_volumes):
@@ -66,7 +66,7 @@ def volume_of_row(row: int, machine: MachineArrays) -> int:
 
 @compiled
 def fit_visited(
-    visited: Visited, mean: FloatArray, machine: MachineArrays, mode: int, scales: FloatArray, matrix: FloatArray
+    visited: Visited, mean: FloatArray, machine: MachineRecord, mode: int, scales: FloatArray, matrix: FloatArray
 ) -> None:
     """Replace the rows of pressures and temperatures of a tangent at the trajectory's mean by the fit over it.
 
@@ -75,7 +75,7 @@ def fit_visited(
     visited : Visited
         Physical units.
     mean : ndarray, shape (n,)
-    machine : MachineArrays
+    machine : MachineRecord
     mode : int
     scales : ndarray, shape (n,)
     matrix : ndarray, shape (n + 1, n + 1)
@@ -93,20 +93,23 @@ def fit_visited(
     for k in range(2, n):
         volumes[k - 2] = volume_of_row(k, machine)
     z, slope, c = np.empty(n), np.empty(n), np.empty(features)
-    for interval in range(visited.spans.size):
-        span, p = visited.spans[interval], visited.coefficients[interval]
+    log = visited.log
+    for interval in range(visited.n_intervals):
+        span = log[interval, SPAN]
         for node in range(3):
             t = _SHARES[node] * span
             for i in range(n):
-                z[i] = (((p[4, i] * t + p[3, i]) * t + p[2, i]) * t + p[1, i]) * t + p[0, i]
-                slope[i] = ((4.0 * p[4, i] * t + 3.0 * p[3, i]) * t + 2.0 * p[2, i]) * t + p[1, i]
+                z[i], slope[i] = 0.0, 0.0
+                for power in range(4, -1, -1):
+                    slope[i] = slope[i] * t + z[i]
+                    z[i] = z[i] * t + log[interval, POLYNOMIAL + power * n + i]
             c[0] = 1.0
             for q in range(1, features):
                 i = first + q - 1
                 c[q] = (z[i] - mean[i]) / scales[i]
             for k in range(2, n):
                 of = volumes[k - 2]
-                volume = chamber_volume(of, z[0], machine) / machine.chambers[of, 0]
+                volume = chamber_volume(of, z[0], machine) / machine.volumes[of].size
                 weight = _WEIGHTS[node] * span * volume * volume
                 total[k - 2] += weight
                 left = slope[k] / scales[k]
@@ -122,7 +125,7 @@ def fit_visited(
         share = LEAST_SHARE_RIDGE
         # A flow that does not fall with the chamber's own pressure is no flow: such a slope comes of a short path along
         # which pressure, position and velocity go hand in hand. Then more of the tangent is kept.
-        is_pressure = k < 2 + machine.chambers.shape[0]
+        is_pressure = k < 2 + machine.n_volumes
         while is_pressure and own < 0.0 and matrix[k, k] + found[k - first + 1] > LEAST_SLOPE * own and share < 1e6:
             found = _ridge_fit(moments[k - 2], sums[k - 2], total[k - 2], RIDGE, share)
             share *= 10.0

@@ -14,11 +14,9 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array
 from ltvpneu._values import Value
-from ltvpneu.models.machine.arrays import TEMPERATURE_PLACE
-from ltvpneu.models.machine.dynamics import gas_in_volume, state_rate
+from ltvpneu.models.machine.dynamics import gas_in_volume, is_in_range, state_rate
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.tangent import tangents
-from ltvpneu.physics.medium import in_range
 from ltvpneu.physics.properties import IDEAL
 
 Tangent = Literal["paper", "full"]
@@ -104,9 +102,9 @@ def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tan
     if tangent not in ("paper", "full"):
         raise ValueError(f'tangent: found {tangent!r}, expected "paper" or "full"')
     full = tangent == "full"
-    arrays = machine.arrays
+    record = machine.record
     _check_domain(machine, states)
-    A, B = tangents(states, areas, arrays, full)
+    A, B = tangents(states, areas, record, full)
     if not np.isfinite(A).all():
         step = int(np.argwhere(~np.isfinite(A))[0][0])
         where = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, states[step], strict=True))
@@ -124,14 +122,14 @@ def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tan
                 point[1] = 0.0
             rate = np.empty(point.size)
             # In slip direction 0 dry friction has no sign and no part.
-            state_rate(point, areas[step], 0, arrays, rate)
+            state_rate(point, areas[step], 0, record, rate)
             r[step] = rate - A[step] @ point - B[step] @ levels
     return Linearization(A=A, B=B, r=r, f=B @ levels + r)
 
 
 def _check_domain(machine: Machine, states: FloatArray) -> None:
-    arrays, names = machine.arrays, machine.states
-    volumes = arrays.chambers[:, 0] + states[:, :1] * arrays.chambers[:, 1]
+    fields, names = machine.volume_fields, machine.states
+    volumes = np.array([v.size for v in fields]) + states[:, :1] * np.array([v.slope for v in fields])
     if (volumes <= 0).any():
         step, k = np.argwhere(volumes <= 0)[0]
         raise ValueError(
@@ -140,17 +138,17 @@ def _check_domain(machine: Machine, states: FloatArray) -> None:
         )
     if (states[:, 2:] <= 0).any():
         step, column = np.argwhere(states[:, 2:] <= 0)[0]
-        k = column if column < machine.n_volumes else list(arrays.chambers[:, TEMPERATURE_PLACE]).index(column + 2)
+        k = column if column < machine.n_volumes else [v.temperature_place for v in fields].index(column + 2)
         what, unit = names[2 + column].split("_")[0], "Pa" if column < machine.n_volumes else "K"
         raise ValueError(
             f"operating point of step {step + 1}: found a {what} of {machine.volumes[k]} of "
             f"{states[step, 2 + column]:g} {unit}, expected above zero"
         )
-    if arrays.medium.kind != IDEAL:
+    if machine.gas.kind != IDEAL:
         for step, state in enumerate(states):
             for k, name in enumerate(machine.volumes):
-                here = gas_in_volume(k, state, arrays)
-                if not in_range(here.pressure, here.temperature, arrays.medium):
+                here = gas_in_volume(k, state, machine.record)
+                if not is_in_range(here, machine.record):
                     raise ValueError(
                         f"operating point of step {step + 1}: found {name} at {here.pressure:g} Pa and "
                         f"{here.temperature:g} K, expected it where the laws of the medium hold: {machine.gas.limits}"

@@ -13,7 +13,6 @@ from ltvpneu.models.linear.operating_points import LEAST_DISTANCE, Turn, held_in
 from ltvpneu.models.linear.own_cycle import Question, Spacing, model_to_tolerance, own_cycle_model
 from ltvpneu.models.linear.staircase import default_steps, staircase
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.openings import cut_schedule
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.ramps import ramped
 from ltvpneu.periodic.steady import periodic_states
@@ -189,17 +188,18 @@ def _with_ramps(
     machine: Machine, frequency: float, fractions: FloatArray, points: FloatArray, tangent: Tangent
 ) -> PeriodicSystem:
     """Return the system whose openings ramp over each step as the machine's do."""
-    schedule = cut_schedule(machine.openings, fractions, 1.0)[0]
-    if schedule.times.size != fractions.size:
-        n_pieces = machine.openings.fractions.size - 1
+    table = machine.openings
+    if np.union1d(table.fractions, fractions).size != fractions.size:
+        n_pieces = table.fractions.size - 1
         raise ValueError(
             f'n_steps: found {fractions.size - 1}, expected at least {n_pieces} with hold="first": a step each for the '
             "linear pieces of the openings"
         )
     durations, name = np.diff(fractions) / frequency, f"{machine.identifier}_ltv"
+    pieces = table.pieces_at((fractions[:-1] + fractions[1:]) / 2)
     starts, ends = (
-        assemble(machine, durations, linearize_steps(machine, points, areas.copy(), tangent), name)
-        for areas in (schedule.areas[:, (0, 2)], schedule.areas[:, (1, 3)])
+        assemble(machine, durations, linearize_steps(machine, points, table.areas_at(shares, pieces), tangent), name)
+        for shares in (fractions[:-1], fractions[1:])
     )
     return ramped(starts, ends, parts=1)
 

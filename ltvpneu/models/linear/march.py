@@ -12,19 +12,21 @@ between both ends is the step's local error.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ltvpneu._arrays import FloatArray, IntArray
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import by_field, compiled
 from ltvpneu.models.linear.fit import Visited, fit_visited, mean_visited
-from ltvpneu.models.machine.arrays import temperature_place
 from ltvpneu.models.machine.chord import Tangent, augmented, come_to_rest, tangent_at
 from ltvpneu.models.machine.dynamics import STUCK, chamber_volume
+from ltvpneu.models.machine.openings import Pieces
 from ltvpneu.models.machine.piston import after_event, at_stop, is_pressed, margin_at, mode_of
-from ltvpneu.models.nonlinear.integrator import OK, Log, advance, new_workspace
-from ltvpneu.models.nonlinear.runge_kutta import Run, Workspace, copy
+from ltvpneu.models.machine.records import GeneralRecord, MachineRecord, temperature_place
+from ltvpneu.models.nonlinear.integrator import OK, advance, new_log, new_workspace
+from ltvpneu.models.nonlinear.runge_kutta import Run, RunRecord, Workspace, copy
 from ltvpneu.periodic.small import advanced, apply, exponential, solve
 from ltvpneu.physics.liquid import vapor_pressure
 from ltvpneu.physics.properties import LIQUID
@@ -38,17 +40,9 @@ MAX_EVENTS = 200
 """Steps that a cell may be cut into by stick and slip."""
 
 
-class Plan(NamedTuple):
-    """What is marched through, and how."""
+class PlanRecord:
+    """How steps are marched, as the compiled kernels read it."""
 
-    run: Run
-    """Nonlinear equations; the pieces of its schedule end at cell boundaries at least."""
-    first_pieces: IntArray
-    """First piece of each cell, and the number of pieces, (n_cells + 1,)."""
-    areas: FloatArray
-    """Means of the effective areas over each cell, (n_cells, 2, n_paths)."""
-    scales: FloatArray
-    """(n,)"""
     fitted: bool
     """Whether steps are fitted; else tangents at their own means."""
     distance: float
@@ -56,6 +50,33 @@ class Plan(NamedTuple):
     tolerance: float
     """Scaled difference from a step's means at which its operating point counts as found."""
     max_iterations: int
+    run: RunRecord
+    """The nonlinear equations."""
+
+
+class Plan(NamedTuple):
+    """What is marched through, and how."""
+
+    records: NDArray[Any]
+    """One `PlanRecord`, shape (1,)."""
+    pieces: Pieces
+    """They end at the boundaries of cells at least."""
+    first_pieces: IntArray
+    """First piece of each cell, and the number of pieces, (n_cells + 1,)."""
+    areas: FloatArray
+    """Means of the effective areas over each cell, (n_cells, 2, n_paths)."""
+    scales: FloatArray
+    """(n,)"""
+
+
+def new_plan(run: Run, first_pieces: IntArray, areas: FloatArray, scales: FloatArray, **how: float) -> Plan:
+    """Return a plan; `how` holds the numbers of its record, by name."""
+    numbers = [("fitted", np.bool_), ("distance", np.float64), ("tolerance", np.float64), ("max_iterations", np.int64)]
+    records = np.zeros(1, np.dtype([*numbers, ("run", run.records.dtype)], align=True))
+    records["run"] = run.records
+    for name, value in how.items():
+        records[name] = value
+    return Plan(records, run.pieces, first_pieces, areas, np.array(scales))
 
 
 class Steps(NamedTuple):
@@ -71,8 +92,20 @@ class Steps(NamedTuple):
     """Slopes over the inputs, (capacity, n, 4)."""
     held: FloatArray
     """Half-widths of chords, (capacity, n)."""
-    table: FloatArray
-    """Cell, mode, duration [s], local error, iterations; (capacity, 5)."""
+    cells: IntArray
+    """The cell that each belongs to, (capacity,)."""
+    modes: IntArray
+    """Modes of the piston."""
+    durations: FloatArray
+    """[s]"""
+    errors: FloatArray
+    """Local errors [-]."""
+    iterations: IntArray
+    """Of the search for the operating point."""
+
+    def cut_to(self, count: int) -> "Steps":
+        """Return the first so many steps."""
+        return Steps._make(part[:count].copy() for part in self)
 
 
 class Marched(NamedTuple):
@@ -97,6 +130,21 @@ class Ended(NamedTuple):
     iterations: int
 
 
+class Place(NamedTuple):
+    """Which step it is, and how far it may go."""
+
+    cell: int
+    mode: int
+    kind: int
+    """Of the event that it ends with; below zero for none."""
+    row: int
+    """Its number among the steps."""
+    duration: float
+    """Looked at [s]."""
+    longest: float
+    """To the end of the cell [s]."""
+
+
 @compiled
 def _physical(state: FloatArray, scales: FloatArray, z: FloatArray) -> None:
     for i in range(scales.size):
@@ -105,75 +153,71 @@ def _physical(state: FloatArray, scales: FloatArray, z: FloatArray) -> None:
 
 @compiled
 def _on_event(
-    matrix: FloatArray, state: FloatArray, guess: tuple[float, float], kind: int, mode: int, plan: Plan
+    matrix: FloatArray, state: FloatArray, place: Place, machine: MachineRecord, scales: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return the state and the duration at which the linear step itself has the event, near a guess of its duration.
+    """Return the state and the duration at which the linear step itself has the event, near the duration looked at.
 
-    `guess` holds the duration at which `state` is, and the longest one; newton's method with a difference quotient.
+    `state` is that at the duration looked at; Newton's method with a difference quotient.
     """
-    duration, longest = guess
-    z = np.empty(plan.scales.size)
-    small = 1e-6 * duration
+    duration, z, small = place.duration, np.empty(scales.size), 1e-6 * place.duration
     for _ in range(12):
-        _physical(state, plan.scales, z)
-        margin = margin_at(z, kind, mode, plan.run.machine)
-        _physical(advanced(matrix, state, small), plan.scales, z)
-        slope = (margin_at(z, kind, mode, plan.run.machine) - margin) / small
+        _physical(state, scales, z)
+        margin = margin_at(z, place.kind, place.mode, machine)
+        _physical(advanced(matrix, state, small), scales, z)
+        slope = (margin_at(z, place.kind, place.mode, machine) - margin) / small
         if slope == 0.0 or not math.isfinite(slope):
             break
-        step = max(min(-margin / slope, longest - duration), -0.5 * duration)
+        step = max(min(-margin / slope, place.longest - duration), -0.5 * duration)
         state = advanced(matrix, state, step)
         duration += step
-        if abs(step) <= 1e-14 * longest:
+        if abs(step) <= 1e-14 * place.longest:
             break
     return state, duration
 
 
 @compiled
-def _is_pressed(start: FloatArray, point: FloatArray, plan: Plan) -> bool:
+def _is_pressed(start: FloatArray, point: FloatArray, machine: MachineRecord, scales: FloatArray) -> bool:
     """Whether a step of rest lies at a stop that the piston is pressed on, at its start or its operating point."""
-    if at_stop(start[0] * plan.scales[0], plan.run.machine) == 0:
+    if at_stop(start[0] * scales[0], machine) == 0:
         return False
-    z = np.empty(plan.scales.size)
-    _physical(start, plan.scales, z)
-    if is_pressed(z, plan.run.machine):
+    z = np.empty(scales.size)
+    _physical(start, scales, z)
+    if is_pressed(z, machine):
         return True
     for k in range(2, z.size):
         z[k] = point[k]
-    return is_pressed(z, plan.run.machine)
+    return is_pressed(z, machine)
 
 
 @compiled
 def _follow(
-    start: FloatArray, where: tuple[int, int, int, int], span: tuple[float, float], visited: Visited,
-    plan: Plan, steps: Steps,
-) -> tuple[bool, FloatArray, FloatArray, float]:  # fmt: skip
+    start: FloatArray, place: Place, visited: Visited, plan: Plan, steps: Steps
+) -> tuple[bool, FloatArray, FloatArray, float]:
     """Build one step's linear model at its operating point and follow it.
 
-    `where`: cell, mode, event, row; `span`: duration looked at, longest one. Returns whether the equations hold at the
-    operating point, the scaled means and the scaled state at the step's end, and its duration.
+    Returns whether the equations hold at the operating point, the scaled means and the scaled state at the step's end,
+    and its duration.
     """
-    cell, mode, kind, row = where
-    duration, longest = span
-    n = plan.scales.size
-    matrix, point = steps.matrices[row], steps.points[row]
-    found = Tangent(np.empty((n, n)), steps.inputs[row], np.empty(n), steps.held[row], np.empty(n))
+    record, scales, n = plan.records[0], plan.scales, plan.scales.size
+    machine, duration = record.run.machine, place.duration
+    matrix, point = steps.matrices[place.row], steps.points[place.row]
+    found = Tangent(np.empty((n, n)), steps.inputs[place.row], np.empty(n), steps.held[place.row], np.empty(n))
     result, mean = np.empty((n + 1, n + 1)), np.empty((n + 1, n + 1))
     end, means = np.empty(n + 1), np.empty(n + 1)
-    if not tangent_at(point, plan.areas[cell], mode, plan.run.machine, plan.distance, found):
+    if not tangent_at(point, plan.areas[place.cell], place.mode, machine, record.distance, found):
         return False, means, end, duration
-    if mode == STUCK:
-        come_to_rest(duration, found.sweeps, _is_pressed(start, point, plan), found.A)
-    augmented(found.A, point, found.rate, plan.scales, matrix)
-    if plan.fitted:
-        fit_visited(visited, point, plan.run.machine, mode, plan.scales, matrix)
+    if place.mode == STUCK:
+        come_to_rest(duration, found.sweeps, _is_pressed(start, point, machine, scales), found.A)
+    augmented(found.A, point, found.rate, scales, matrix)
+    if record.fitted:
+        fit_visited(visited, point, machine, place.mode, scales, matrix)
     exponential(matrix, duration, result, mean)
     apply(result, start, end)
-    if kind >= 0:
-        end, duration = _on_event(matrix, end, (duration, longest), kind, mode, plan)
+    if place.kind >= 0:
+        end, duration = _on_event(matrix, end, place, machine, scales)
         exponential(matrix, duration, result, mean)
     apply(mean, start, means)
-    if mode == STUCK:
+    if place.mode == STUCK:
         # To the last bit: it does not move.
         means[0], means[1], end[0] = start[0], 0.0, start[0]
     return True, means, end, duration
@@ -198,38 +242,35 @@ def _defect(found: bool, means: FloatArray, guess: FloatArray) -> float:
 
 
 @compiled
-def _linear_step(
-    start: FloatArray, where: tuple[int, int, int, int], span: tuple[float, float], visited: Visited,
-    plan: Plan, steps: Steps,
-) -> Ended:  # fmt: skip
+def _linear_step(start: FloatArray, place: Place, visited: Visited, plan: Plan, steps: Steps) -> Ended:
     """Find one step's linear model, whose operating point is the mean of the step itself, and follow it.
 
     By taking the means for the next operating point while that closes in by half or better each time; else by damped
     Newton steps with a matrix of difference quotients.
     """
-    n = plan.scales.size
-    point, guess = steps.points[where[3]], np.empty(n)
+    record, n = plan.records[0], plan.scales.size
+    point, guess = steps.points[place.row], np.empty(n)
     copy(mean_visited(visited), point)
     for i in range(n):
         guess[i] = point[i] / plan.scales[i]
-    found, means, end, duration = _follow(start, where, span, visited, plan, steps)
-    if plan.fitted:
+    found, means, end, duration = _follow(start, place, visited, plan, steps)
+    if record.fitted:
         for i in range(n):
             point[i] = means[i] * plan.scales[i]
         return Ended(end, duration, 0.0 if found else math.inf, 1)
     defect, iterations, newton = _defect(found, means, guess), 1, False
-    while defect > plan.tolerance and iterations < plan.max_iterations and math.isfinite(defect):
+    while defect > record.tolerance and iterations < record.max_iterations and math.isfinite(defect):
         step = means[:n] - guess
-        if newton and not _newton_step(start, where, span, visited, plan, steps, guess, means, step):
+        if newton and not _newton_step(start, place, visited, plan, steps, guess, means, step):
             break
         share, following, moved, others = 1.0, math.inf, guess, means
         while share > 1e-4:
             moved = guess + share * step
             _set_point(moved, plan.scales, point)
-            found, others, end, duration = _follow(start, where, span, visited, plan, steps)
+            found, others, end, duration = _follow(start, place, visited, plan, steps)
             iterations += 1
             following = _defect(found, others, moved)
-            if not newton or following <= (1.0 - 0.5 * share) * defect or following <= plan.tolerance:
+            if not newton or following <= (1.0 - 0.5 * share) * defect or following <= record.tolerance:
                 break
             share *= 0.5
         if following >= defect:
@@ -244,56 +285,68 @@ def _linear_step(
 
 @compiled
 def _newton_step(  # noqa: PLR0913 - compiled, and called from one place
-    start: FloatArray, where: tuple[int, int, int, int], span: tuple[float, float], visited: Visited,
-    plan: Plan, steps: Steps, guess: FloatArray, means: FloatArray, step: FloatArray,
-) -> bool:  # fmt: skip
+    start: FloatArray,
+    place: Place,
+    visited: Visited,
+    plan: Plan,
+    steps: Steps,
+    guess: FloatArray,
+    means: FloatArray,
+    step: FloatArray,
+) -> bool:
     """Turn `step`, means less guess, into Newton's, with difference quotients over the operating point."""
     n = guess.size
-    matrix, point = np.empty((n, n)), steps.points[where[3]]
+    matrix, point = np.empty((n, n)), steps.points[place.row]
     for j in range(n):
         moved = guess.copy()
         small = 1e-6 * max(1.0, abs(guess[j]))
         moved[j] += small
         _set_point(moved, plan.scales, point)
-        _, others, _, _ = _follow(start, where, span, visited, plan, steps)
+        _, others, _, _ = _follow(start, place, visited, plan, steps)
         for i in range(n):
             matrix[i, j] = (1.0 if i == j else 0.0) - (others[i] - means[i]) / small
     return solve(matrix, step)
 
 
 @compiled
-def _visit(
-    begin: tuple[float, int], end: float, mode: int, plan: Plan, space: Workspace, log: Log
-) -> tuple[int, float, int, int, Log]:
-    """Integrate from a time in a piece to a later time, or to an event; log what is visited.
+def _visit(piece: int, end: float, mode: int, plan: Plan, space: Workspace, log: FloatArray) -> tuple[int, FloatArray]:
+    """Integrate on from the present time, in a piece, to a later time or to an event; log what is visited.
 
-    Returns the status, the time, the event and the piece reached.
+    Returns the piece reached, and the log.
     """
-    time, piece = begin
-    log = Log(log.rows, log.coefficients, 0)
+    run = plan.records[0].run
+    run.progress.status, run.progress.steps, run.progress.n_logged = OK, 0, 0
     while True:
-        until = min(end, plan.run.schedule.times[piece + 1])
-        progress, log = advance((time, piece, 0), until, mode, plan.run, space, log)
-        time = progress.time
-        if progress.status != OK or progress.kind >= 0 or until >= end:
-            return progress.status, time, progress.kind, piece, log
+        until = min(end, plan.pieces[piece].end)
+        log = advance(until, mode, piece, plan.pieces[piece], run, space, log)
+        if run.progress.status != OK or run.progress.kind >= 0 or until >= end:
+            return piece, log
+        run.progress.steps = 0
         piece += 1
 
 
+def _least_of_any(scale: float, machine: GeneralRecord) -> float:
+    # A liquid may well fall to a small share of its supply pressure; where it cavitates it ends.
+    return vapor_pressure(machine.medium.table) / scale if machine.medium.kind == LIQUID else LEAST_SHARE
+
+
+def _least_of_gas(scale: float, machine: MachineRecord) -> float:
+    return LEAST_SHARE
+
+
+_least_pressure = by_field("medium", "machine", _least_of_any, _least_of_gas)
+"""Scaled pressure below which a linear step has left the equations' domain [-]."""
+
+
 @compiled
-def _is_inside(state: FloatArray, plan: Plan) -> bool:
+def _is_inside(state: FloatArray, machine: MachineRecord, scales: FloatArray) -> bool:
     """Whether the equations hold at a scaled state, with room to spare."""
-    for i in range(plan.scales.size):
+    for i in range(scales.size):
         if not abs(state[i]) < 1e6:
             return False
-    machine = plan.run.machine
-    for k in range(machine.chambers.shape[0]):
-        volume = chamber_volume(k, state[0] * plan.scales[0], machine)
-        # A liquid may well fall to a small share of its supply pressure; where it cavitates it ends.
-        least = LEAST_SHARE
-        if machine.medium.kind == LIQUID:
-            least = vapor_pressure(machine.medium.table) / plan.scales[2 + k]
-        if volume < LEAST_SHARE * machine.chambers[k, 0] or state[2 + k] < least:
+    for k in range(machine.n_volumes):
+        volume = chamber_volume(k, state[0] * scales[0], machine)
+        if volume < LEAST_SHARE * machine.volumes[k].size or state[2 + k] < _least_pressure(scales[2 + k], machine):
             return False
         place = temperature_place(k, machine)
         if place >= 0 and state[place] < LEAST_SHARE:
@@ -301,7 +354,7 @@ def _is_inside(state: FloatArray, plan: Plan) -> bool:
     return True
 
 
-class _Place(NamedTuple):
+class _Here(NamedTuple):
     """Where a march is: time [s], piece, scaled augmented state, mode, steps taken, cell."""
 
     time: float
@@ -325,45 +378,41 @@ class _Taken(NamedTuple):
 
 
 @compiled
-def _take_step(place: _Place, end: float, plan: Plan, steps: Steps, space: Workspace, log: Log) -> _Taken:
+def _take_step(here: _Here, end: float, plan: Plan, steps: Steps, space: Workspace, log: FloatArray) -> _Taken:
     """Take one step from a place to the end of its cell, or to an event, or less far.
 
     Where no operating point is found, or the step leaves the equations' domain, half of it is tried, and so on.
     """
-    longest, n = end - place.time, plan.scales.size
-    taken = _Taken(NOT_CONVERGED, place.time, -1, place.state, place.piece, math.inf, True)
+    record, scales, n = plan.records[0], plan.scales, plan.scales.size
+    progress, longest = record.run.progress, end - here.time
+    taken = _Taken(NOT_CONVERGED, here.time, -1, here.state, here.piece, math.inf, True)
     for _ in range(MAX_HALVINGS):
-        _physical(place.state, plan.scales, space.state)
-        until = place.time + longest if longest < end - place.time else end
-        status, stop, kind, piece, log = _visit((place.time, place.piece), until, place.mode, plan, space, log)
-        if status != OK:
-            reached = place.state.copy()
+        _physical(here.state, scales, space.state)
+        progress.time = here.time
+        until = here.time + longest if longest < end - here.time else end
+        piece, log = _visit(here.piece, until, here.mode, plan, space, log)
+        stop, kind = progress.time, progress.kind
+        if progress.status != OK:
+            reached = here.state.copy()
             for i in range(n):
-                reached[i] = space.state[i] / plan.scales[i]
-            return _Taken(status, stop, -1, reached, piece, math.inf, True)
-        if log.n_logged == 0 or stop <= place.time:
-            return _Taken(OK, place.time, kind, place.state, piece, 0.0, False)
-        duration = stop - place.time
-        visited = Visited(log.rows[: log.n_logged, 1], log.coefficients[: log.n_logged])
-        where, span = (place.cell, place.mode, kind, place.row), (duration, end - place.time)
-        one = _linear_step(place.state, where, span, visited, plan, steps)
-        taken = _Taken(
-            NOT_CONVERGED, place.time + one.duration if kind >= 0 else stop, kind, one.state, piece, one.defect, True
-        )
-        if one.defect <= plan.tolerance and _is_inside(one.state, plan):
-            error = abs(one.duration - duration) / plan.run.schedule.times[-1]
+                reached[i] = space.state[i] / scales[i]
+            return _Taken(progress.status, stop, -1, reached, piece, math.inf, True)
+        if progress.n_logged == 0 or stop <= here.time:
+            return _Taken(OK, here.time, kind, here.state, piece, 0.0, False)
+        duration = stop - here.time
+        place = Place(here.cell, here.mode, kind, here.row, duration, end - here.time)
+        one = _linear_step(here.state, place, Visited(log, progress.n_logged), plan, steps)
+        ended = here.time + one.duration if kind >= 0 else stop
+        taken = _Taken(NOT_CONVERGED, ended, kind, one.state, piece, one.defect, True)
+        if one.defect <= record.tolerance and _is_inside(one.state, record.run.machine, scales):
+            error = abs(one.duration - duration) / record.run.period
             for i in range(n):
-                error = max(error, abs(one.state[i] - space.state[i] / plan.scales[i]))
-            copy(place.state, steps.starts[place.row])
-            table = steps.table[place.row]
-            table[0], table[1], table[2], table[3], table[4] = (
-                place.cell,
-                place.mode,
-                one.duration,
-                error,
-                one.iterations,
-            )
-            return _Taken(OK, taken.time, kind, one.state, piece, one.defect, True)
+                error = max(error, abs(one.state[i] - space.state[i] / scales[i]))
+            copy(here.state, steps.starts[here.row])
+            steps.cells[here.row], steps.modes[here.row] = here.cell, here.mode
+            steps.durations[here.row], steps.errors[here.row] = one.duration, error
+            steps.iterations[here.row] = one.iterations
+            return _Taken(OK, ended, kind, one.state, piece, one.defect, True)
         longest = 0.5 * duration
     return taken
 
@@ -371,36 +420,34 @@ def _take_step(place: _Place, end: float, plan: Plan, steps: Steps, space: Works
 @compiled
 def march_period(start: FloatArray, plan: Plan, steps: Steps) -> Marched:
     """March through one valve period from a scaled augmented state, shape (n + 1,); fill in `steps`."""
-    machine, scales, times = plan.run.machine, plan.scales, plan.run.schedule.times
+    machine, scales, pieces = plan.records[0].run.machine, plan.scales, plan.pieces
     n = scales.size
     z, state = np.empty(n), start
     _physical(state, scales, z)
-    space = new_workspace(z, machine.paths.shape[0])
-    log = Log(np.empty((64, 4)), np.empty((64, 5, n)), 0)
-    row, worst, mode = 0, 0.0, mode_of(z, machine)
+    space, log = new_workspace(z, machine.n_paths), new_log(n)
+    row, worst, mode, time = 0, 0.0, mode_of(z, machine), 0.0
     for cell in range(plan.areas.shape[0]):
-        piece: int = plan.first_pieces[cell]
-        time = float(times[piece])
-        end = float(times[plan.first_pieces[cell + 1]])
+        piece = int(plan.first_pieces[cell])
+        time, end = pieces[piece].begin, pieces[int(plan.first_pieces[cell + 1]) - 1].end
         if mode != STUCK and state[1] != 0.0:
             mode = 1 if state[1] > 0.0 else -1
         events = 0
         while time < end:
-            if row >= steps.table.shape[0] or events > MAX_EVENTS:
+            if row >= steps.cells.size or events > MAX_EVENTS:
                 return Marched(TOO_MANY_EVENTS, row, time, state, worst)
-            taken = _take_step(_Place(time, piece, state, mode, row, cell), end, plan, steps, space, log)
+            taken = _take_step(_Here(time, piece, state, mode, row, cell), end, plan, steps, space, log)
             worst = max(worst, taken.defect)
             if taken.status != OK:
                 return Marched(taken.status, row, taken.time, taken.state, worst)
             if taken.is_recorded:
                 row += 1
             time, piece, state = taken.time, taken.piece, taken.state.copy()
-            while piece < times.size - 2 and time >= times[piece + 1]:
+            while piece < pieces.size - 1 and time >= pieces[piece].end:
                 piece += 1
-            while time < times[piece]:
+            while time < pieces[piece].begin:
                 piece -= 1
             if taken.kind < 0 or time >= end:
                 continue
             events += 1
             mode = after_event(taken.kind, state, scales, machine)
-    return Marched(OK, row, times[-1], state, worst)
+    return Marched(OK, row, time, state, worst)

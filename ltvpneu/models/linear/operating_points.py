@@ -60,8 +60,7 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
             "load.spring_stiffness: found none, expected one above zero: without a spring no position balances the "
             "pressures (in Python, ltv_model takes the operating points as an array of states)"
         )
-    arrays = machine.arrays
-    states = settled_states(areas, arrays, np.array(machine.rest_state))
+    states = settled_states(areas, machine.record, np.array(machine.rest_state))
     # What the spring does not bear, an end stop does.
     states[:, 0] = np.clip(_balanced(machine, states), machine.cylinder.lower_stop, machine.cylinder.upper_stop)
     return states
@@ -69,9 +68,9 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
 
 def _balanced(machine: Machine, states: FloatArray) -> FloatArray:
     """Return the positions at which the spring balances the states' pressures [m], (n_steps,)."""
-    load, arrays = machine.load, machine.arrays
-    force = load.force + arrays.load.ambient_push_area * machine.ambient_pressure
-    return (states[:, 2 : 2 + machine.n_volumes] @ arrays.chambers[:, 3] + force) / load.spring_stiffness
+    load, pushes = machine.load, np.array([volume.push_area for volume in machine.volume_fields])
+    force = load.force + machine.cylinder.ambient_push_area * machine.ambient_pressure
+    return (states[:, 2 : 2 + machine.n_volumes] @ pushes + force) / load.spring_stiffness
 
 
 def held_inside(
@@ -92,14 +91,14 @@ def held_inside(
     used = np.minimum(np.maximum(asked, low), high)
     if machine.has_infinite_slopes:
         supply, exhaust = machine.supply_pressure, machine.exhaust_pressure
-        sources = source_ranges(turn.stairs.areas, machine.arrays)
+        sources = source_ranges(turn.stairs.areas, machine.record)
         floor = np.where(sources[:, :, 0] == exhaust, exhaust * (1 + least_distance), -np.inf)
         ceiling = np.where(sources[:, :, 1] == supply, supply * (1 - least_distance), np.inf)
         pressures = used[:, 2 : temperatures.start]
         held = np.minimum(np.maximum(pressures, floor), ceiling)
         # Between sources too near each other there is no room, so the point is taken beyond both.
         pressures[:] = np.where(floor <= ceiling, held, supply * (1 + least_distance))
-        if not machine.arrays.plain:
+        if not machine.is_plain:
             _part(machine, turn, used, least_distance)
     # Rounding is not holding back.
     moved = np.abs(used - asked) > 1e-9 * machine.state_scales
@@ -120,7 +119,7 @@ def _part(machine: Machine, turn: Turn, points: FloatArray, least_distance: floa
     """Move pressures of volumes that feed each other apart by the least distance, the inner one of a valve first."""
     for step, areas in enumerate(turn.stairs.areas):
         for k in reversed(range(machine.n_volumes)):
-            pressure, column = nearest_source(k, points[step], areas, machine.arrays)
+            pressure, column = nearest_source(k, points[step], areas, machine.record)
             apart = points[step, 2 + k] - pressure
             if column >= 0 and abs(apart) < least_distance * pressure:
                 points[step, 2 + k] = pressure * (1 + (least_distance if apart >= 0 else -least_distance))

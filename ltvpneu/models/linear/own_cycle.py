@@ -19,18 +19,18 @@ from ltvpneu._values import Value
 from ltvpneu.errors import NotConvergedError
 from ltvpneu.models.linear.cuts import cuts_by_error, even_cuts
 from ltvpneu.models.linear.linearize import Linearization
-from ltvpneu.models.linear.march import NOT_CONVERGED, Marched, Plan, Steps, march_period
+from ltvpneu.models.linear.march import NOT_CONVERGED, Marched, Plan, Steps, march_period, new_plan
 from ltvpneu.models.linear.model import HeldBack, LtvModel, assemble
 from ltvpneu.models.linear.repeat import Repeated, repeat_march
 from ltvpneu.models.linear.staircase import default_steps, staircase
-from ltvpneu.models.machine.arrays import N_INPUTS
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.openings import OpeningTable, cut_schedule
+from ltvpneu.models.machine.openings import OpeningTable, cut_pieces
 from ltvpneu.models.machine.quasi_static import nearest_source
+from ltvpneu.models.machine.records import N_INPUTS
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.rest import AT_EDGE, rests_in_a_band, what_holds
-from ltvpneu.models.nonlinear.runge_kutta import Run
+from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.simulation import integration_settings, step_label
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic.exponential import ExponentialTrajectory
@@ -66,15 +66,15 @@ class Question(Value):
 
     def plan(self, cells: FloatArray, rtol: float | None = None) -> Plan:
         """Return what the march needs, for cell boundaries given as shares of the turn, (n_cells + 1,)."""
-        schedule, first_pieces, areas = cut_schedule(self.machine.openings, cells, 1 / self.frequency)
+        pieces, first_pieces, areas = cut_pieces(self.machine.openings, cells, 1 / self.frequency)
         # In step with the error of the steps themselves, which falls with the square of their number.
         if rtol is None:
             rtol = min(max(LOOSEST_REFERENCE * (2 / (cells.size - 1)) ** 2, TIGHTEST_REFERENCE), LOOSEST_REFERENCE)
-        return Plan(
-            run=Run(schedule, self.machine.arrays, integration_settings(self.machine, rtol)),
-            first_pieces=first_pieces,
-            areas=areas,
-            scales=np.array(self.machine.state_scales),
+        return new_plan(
+            new_run(self.machine.record, integration_settings(self.machine, rtol), pieces),
+            first_pieces,
+            areas,
+            self.machine.state_scales,
             fitted=self.mode == "fitted",
             distance=float(self.distance),
             tolerance=POINT_TOLERANCE,
@@ -97,14 +97,14 @@ class Found(Value):
     """Valve periods marched, in all rounds."""
 
     @cached_property
-    def table(self) -> FloatArray:
-        """Cell, mode, duration [s], local error and iterations of every step, (n_steps, 5)."""
-        return np.concatenate([steps.table for steps in self.periods])
+    def steps(self) -> Steps:
+        """The steps of all valve periods as one."""
+        return together(self.periods)
 
     @property
     def sticks(self) -> bool:
         """Whether the piston rests anywhere."""
-        return bool((self.table[:, 1] == STUCK).any())
+        return bool((self.steps.modes == STUCK).any())
 
 
 def own_cycle_model(question: Question, n_steps: int, spacing: Spacing) -> LtvModel:
@@ -161,12 +161,12 @@ def find_cycle(question: Question, n_steps: int, spacing: Spacing, found: Found 
         found = _repeated(question, base, None)
     while True:
         n_cells = min(n_steps, GROWTH * (found.cells.size - 1))
-        table = found.table
+        steps = found.steps
         # The cuts serve all valve periods of a subharmonic: each place's worst.
-        starts = np.concatenate([[0.0], np.cumsum(table[:, 2])]) * question.frequency
+        starts = np.concatenate([[0.0], np.cumsum(steps.durations)]) * question.frequency
         one = int(np.searchsorted(starts, 1 - 1e-9)) + 1 if found.repeated.n_periods > 1 else starts.size
         boundaries = np.append(starts[: one - 1], 1.0)
-        found = _repeated(question, cuts_by_error(base, boundaries, table[: one - 1, 3], n_cells), found)
+        found = _repeated(question, cuts_by_error(base, boundaries, steps.errors[: one - 1], n_cells), found)
         if n_cells >= n_steps:
             return found
 
@@ -179,15 +179,17 @@ def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Fo
         start = np.append(machine.rest_state / plan.scales, 1.0)
     else:
         start = before.repeated.start
-    repeated = repeat_march(start, plan, steps, CYCLE_TOLERANCE * plan.run.settings.rtol, MAX_PERIODS)
+    repeated = repeat_march(
+        start, plan, steps, CYCLE_TOLERANCE * float(plan.records["run"]["settings"]["rtol"][0]), MAX_PERIODS
+    )
     iterations = repeated.n_marched + (0 if before is None else before.iterations)
     if repeated.n_periods == 0:
         _raise_not_found(question, repeated, iterations, cells.size - 1)
-    periods = [_cut_to(steps, repeated.last.n_steps)]
+    periods = [steps.cut_to(repeated.last.n_steps)]
     state = repeated.last.state
     for _ in range(repeated.n_periods - 1):
         marched = march_period(state, plan, steps)
-        periods.append(_cut_to(steps, marched.n_steps))
+        periods.append(steps.cut_to(marched.n_steps))
         state = marched.state
     return Found(
         question=question,
@@ -208,7 +210,11 @@ def new_steps(question: Question, cells: FloatArray) -> Steps:
         points=np.empty((capacity, n)),
         inputs=np.empty((capacity, n, N_INPUTS)),
         held=np.zeros((capacity, n)),
-        table=np.empty((capacity, 5)),
+        cells=np.empty(capacity, dtype=np.int64),
+        modes=np.empty(capacity, dtype=np.int64),
+        durations=np.empty(capacity),
+        errors=np.empty(capacity),
+        iterations=np.empty(capacity, dtype=np.int64),
     )
 
 
@@ -220,10 +226,6 @@ def retabled(cells: FloatArray, before: OpeningTable, after: OpeningTable) -> Fl
             f"{before.fractions.size - 1}; at such a corner there is no derivative"
         )
     return np.interp(cells, before.fractions, after.fractions)
-
-
-def _cut_to(steps: Steps, count: int) -> Steps:
-    return Steps(*(part[:count].copy() for part in steps))
 
 
 def _raise_not_found(question: Question, repeated: Repeated, iterations: int, n_cells: int) -> None:
@@ -250,7 +252,7 @@ def _raise_not_found(question: Question, repeated: Repeated, iterations: int, n_
 
 def together(periods: Sequence[Steps]) -> Steps:
     """Return the steps of several valve periods as one."""
-    return Steps(*(np.concatenate(parts) for parts in zip(*periods, strict=True)))
+    return Steps._make(np.concatenate(parts) for parts in zip(*periods, strict=True))
 
 
 def trajectory_of_steps(machine: Machine, periods: Sequence[Steps]) -> ExponentialTrajectory:
@@ -259,16 +261,16 @@ def trajectory_of_steps(machine: Machine, periods: Sequence[Steps]) -> Exponenti
     A = steps.matrices[:, :n, :n] * (scales[:, None] / scales)
     f = steps.matrices[:, :n, n] * scales
     linearization = Linearization(A=A, B=steps.inputs, r=f - steps.inputs @ machine.levels, f=f)
-    system = assemble(machine, steps.table[:, 2], linearization, f"{machine.identifier}_ltv")
+    system = assemble(machine, steps.durations, linearization, f"{machine.identifier}_ltv")
     return ExponentialTrajectory(system=system, step_states=steps.starts[:, :n] * scales)
 
 
 def as_model(found: Found) -> LtvModel:
     """Return a cycle found as an LTV model."""
     question, machine = found.question, found.question.machine
-    trajectory, steps = trajectory_of_steps(machine, found.periods), together(found.periods)
+    trajectory, steps = trajectory_of_steps(machine, found.periods), found.steps
     system, states = trajectory.system, trajectory.step_states
-    modes = steps.table[:, 1].astype(np.int64)
+    modes = steps.modes
     creeps = _creeps(machine, states, modes)
     orbit = Orbit(
         system_period=1 / question.frequency,
@@ -317,7 +319,7 @@ def _held_back(found: Found, steps: Steps) -> tuple[HeldBack, ...]:
     held: list[HeldBack] = []
     for step, column in np.argwhere(steps.held > 0):
         asked = float(steps.points[step, column])
-        openings = found.plan.areas[int(steps.table[step, 0])]
-        used = float(nearest_source(int(column) - 2, steps.points[step], openings, machine.arrays)[0])
+        openings = found.plan.areas[int(steps.cells[step])]
+        used = float(nearest_source(int(column) - 2, steps.points[step], openings, machine.record)[0])
         held.append(HeldBack(step=int(step), state=machine.states[column], asked=asked, used=used))
     return tuple(held)

@@ -46,7 +46,10 @@ MANY_PERIODS, FLUTTER = 200, 1e-2
 
 @compiled
 def _rests(marched: Marched, steps: Steps) -> bool:
-    return bool((steps.table[: marched.n_steps, 1] == STUCK).any())
+    for row in range(marched.n_steps):
+        if steps.modes[row] == STUCK:
+            return True
+    return False
 
 
 @compiled
@@ -54,7 +57,7 @@ def _product(k: int, marched: Marched, steps: Steps) -> FloatArray:
     """Return the product of the steps' own maps, (k, k)."""
     whole, mean, one, work = np.eye(k), np.empty((k, k)), np.empty((k, k)), np.empty((k, k))
     for row in range(marched.n_steps):
-        exponential(steps.matrices[row], steps.table[row, 2], one, mean)
+        exponential(steps.matrices[row], steps.durations[row], one, mean)
         multiply(one, whole, work)
         whole, work = work, whole
     return whole
@@ -170,8 +173,9 @@ def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, 
     history[0] = begin[:n]
     # Where the march goes on from if leaps are taken back.
     origin = start.copy()
-    done, marched, best, leaps, size = 1, 1, math.inf, 0, math.inf
+    done, marched, best, leaps, size = 0, 0, math.inf, 0, math.inf
     outcome = march_period(begin, plan, steps)
+    done, marched = done + 1, marched + 1
     while True:
         leapt, taken_back = False, leaps > 0 and (outcome.status != OK or _rests(outcome, steps))
         if not taken_back:

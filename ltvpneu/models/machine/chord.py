@@ -17,11 +17,10 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.machine.arrays import N_INPUTS, MachineArrays
 from ltvpneu.models.machine.dynamics import STUCK, state_rate
 from ltvpneu.models.machine.quasi_static import nearest_source
+from ltvpneu.models.machine.records import N_INPUTS, MachineRecord, is_liquid
 from ltvpneu.models.machine.tangent import state_tangent
-from ltvpneu.physics.properties import LIQUID
 
 DECAY_AT_REST = 40.0
 """Exponent by which what does not last decays over a step of rest: the velocity of a resting piston, and the distance
@@ -47,7 +46,7 @@ class Tangent(NamedTuple):
 
 @compiled
 def tangent_at(
-    state: FloatArray, areas: FloatArray, mode: int, machine: MachineArrays, distance: float, found: Tangent
+    state: FloatArray, areas: FloatArray, mode: int, machine: MachineRecord, distance: float, found: Tangent
 ) -> bool:
     """Write the rate at a state and its tangent in one mode of motion; False outside the equations' domain.
 
@@ -56,7 +55,7 @@ def tangent_at(
     state : ndarray, shape (n,)
     areas : ndarray, shape (2, n_paths)
     mode : int
-    machine : MachineArrays
+    machine : MachineRecord
     distance : float
         Relative distance from a source's pressure within which the slope goes over to that of the chord to it.
     found : Tangent
@@ -69,7 +68,7 @@ def tangent_at(
         for k in range(2, n):
             held[k] = 0.0
         # A liquid's flow is laminar where pressures meet, and its slope finite.
-        for k in range(2, 2 + (machine.chambers.shape[0] if machine.medium.kind != LIQUID else 0)):
+        for k in range(2, 2 + (machine.n_volumes if not is_liquid(machine) else 0)):
             source, column = nearest_source(k - 2, state, areas, machine)
             apart = state[k] - source
             if math.isfinite(source) and abs(apart) < distance * source:
@@ -90,7 +89,7 @@ def tangent_at(
 
 @compiled
 def _chord(
-    state: FloatArray, near: tuple[int, float, float, int], areas: FloatArray, mode: int, machine: MachineArrays,
+    state: FloatArray, near: tuple[int, float, float, int], areas: FloatArray, mode: int, machine: MachineRecord,
     found: Tangent,
 ) -> None:  # fmt: skip
     """Blend the chord from a pressure to a near source's into its slope, and the difference into the source's column.

@@ -22,71 +22,104 @@ with the enthalpy flow H and the wall's heat Q (`physics.thermal`).
 from typing import NamedTuple
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled, inlined
-from ltvpneu.models.machine.arrays import CONDUCTANCE, SUPPLY, WALL_TEMPERATURE, MachineArrays, temperature_place
+from ltvpneu._compiled import by_field, compiled
+from ltvpneu.models.machine.records import GeneralRecord, MachineRecord, is_liquid, source_state, temperature_place
 from ltvpneu.physics.flow import mass_flow
-from ltvpneu.physics.gas import GasState, polytropic_temperature
+from ltvpneu.physics.gas import GasState, ideal_properties, polytropic_temperature
 from ltvpneu.physics.medium import in_range, path_flow, properties
-from ltvpneu.physics.properties import LIQUID, Properties
+from ltvpneu.physics.properties import Properties
 
 STUCK = 2
 """Mode of a piston held by stiction; in motion the mode is the direction +1 or -1, which signs the dry friction."""
 
 
-@inlined
-def gas_in_chamber(k: int, pressure: float, machine: MachineArrays) -> GasState:
+@compiled
+def gas_in_chamber(k: int, pressure: float, machine: MachineRecord) -> GasState:
     """Return pressure [Pa] and temperature [K] in a polytropic volume k, eq. (4) with ambient as the reference."""
     temperature = polytropic_temperature(
-        pressure, machine.chambers[k, 2], machine.exhaust.temperature, machine.exhaust.pressure
+        pressure, machine.volumes[k].polytropic_exponent, machine.exhaust.temperature, machine.exhaust.pressure
     )
     return GasState(pressure, temperature)
 
 
-@inlined
-def gas_in_volume(k: int, state: FloatArray, machine: MachineArrays) -> GasState:
+@compiled
+def gas_in_volume(k: int, state: FloatArray, machine: MachineRecord) -> GasState:
     """Return pressure [Pa] and temperature [K] in volume k, whatever its process."""
     place, pressure = temperature_place(k, machine), state[2 + k]
     return GasState(pressure, state[place]) if place >= 0 else gas_in_chamber(k, pressure, machine)
 
 
-@inlined
-def gas_at_source(path: int, state: FloatArray, machine: MachineArrays) -> GasState:
+@compiled
+def gas_at_source(path: int, state: FloatArray, machine: MachineRecord) -> GasState:
     """Return pressure [Pa] and temperature [K] of what feeds a path."""
-    volume = machine.paths[path, 1]
-    found = machine.supply if volume == SUPPLY else machine.exhaust
-    if volume >= 0:
-        found = gas_in_volume(volume, state, machine)
-    return found
+    volume = machine.paths[path].source
+    return gas_in_volume(volume, state, machine) if volume >= 0 else source_state(volume, machine)
 
 
-@inlined
-def flow_into(first: float, second: float, source: GasState, inside: GasState, machine: MachineArrays) -> float:
-    """Return the mass flow from a source into a volume through effective areas [m^2], in any medium [kg/s]."""
-    if machine.plain:
-        flow = mass_flow(first, second, source, inside, machine.gas)
-    else:
-        flow = path_flow(first, second, source, inside, machine.medium)
-    return flow
+def _general_flow(first: float, second: float, source: GasState, inside: GasState, machine: GeneralRecord) -> float:
+    return path_flow(first, second, source, inside, machine.medium)
 
 
-@inlined
-def chamber_volume(k: int, position: float, machine: MachineArrays) -> float:
+def _plain_flow(first: float, second: float, source: GasState, inside: GasState, machine: MachineRecord) -> float:
+    return mass_flow(first, second, source, inside, machine.gas)
+
+
+flow_into = by_field("medium", "machine", _general_flow, _plain_flow)
+"""Mass flow from a source into a volume through effective areas [m^2], in any medium [kg/s]."""
+
+
+def _general_properties(here: GasState, machine: GeneralRecord) -> Properties:
+    return properties(here.pressure, here.temperature, machine.medium)
+
+
+def _plain_properties(here: GasState, machine: MachineRecord) -> Properties:
+    return ideal_properties(here.pressure, here.temperature, machine.gas)
+
+
+_properties = by_field("medium", "machine", _general_properties, _plain_properties)
+
+
+@compiled
+def properties_of(here: GasState, machine: MachineRecord) -> Properties:
+    """Density and internal energy of the medium at a pressure and a temperature, with derivatives."""
+    return _properties(here, machine)
+
+
+def _in_general_range(here: GasState, machine: GeneralRecord) -> bool:
+    return in_range(here.pressure, here.temperature, machine.medium)
+
+
+def _in_plain_range(here: GasState, machine: MachineRecord) -> bool:
+    return here.pressure > 0.0 and here.temperature > 0.0
+
+
+_in_range = by_field("medium", "machine", _in_general_range, _in_plain_range)
+
+
+@compiled
+def is_in_range(here: GasState, machine: MachineRecord) -> bool:
+    """Whether the medium's laws hold at a pressure and a temperature."""
+    return _in_range(here, machine)
+
+
+@compiled
+def chamber_volume(k: int, position: float, machine: MachineRecord) -> float:
     """Return the size of volume k [m^3]."""
-    return machine.chambers[k, 0] + machine.chambers[k, 1] * position
+    return machine.volumes[k].size + machine.volumes[k].slope * position
 
 
-@inlined
-def external_force(state: FloatArray, machine: MachineArrays) -> float:
+@compiled
+def external_force(state: FloatArray, machine: MachineRecord) -> float:
     """F_e, all forces on the piston but friction [N], (7b)."""
     load = machine.load
     force = load.force - load.spring_stiffness * state[0] + load.ambient_push_area * load.ambient_pressure
-    for k in range(machine.chambers.shape[0]):
-        force += machine.chambers[k, 3] * state[2 + k]
+    for k in range(machine.n_volumes):
+        force += machine.volumes[k].push_area * state[2 + k]
     return force
 
 
-@inlined
-def state_rate(state: FloatArray, areas: FloatArray, mode: int, machine: MachineArrays, rate: FloatArray) -> bool:
+@compiled
+def state_rate(state: FloatArray, areas: FloatArray, mode: int, machine: MachineRecord, rate: FloatArray) -> bool:
     """Write the time derivative of the state into `rate`; False outside the equations' domain.
 
     Parameters
@@ -97,7 +130,7 @@ def state_rate(state: FloatArray, areas: FloatArray, mode: int, machine: Machine
         Effective areas of the first and second restriction of each path [m^2].
     mode : int
         Direction of slip that signs the dry friction, or `STUCK`.
-    machine : MachineArrays
+    machine : MachineRecord
     rate : ndarray, shape (n,)
         Result.
     """
@@ -108,34 +141,34 @@ def state_rate(state: FloatArray, areas: FloatArray, mode: int, machine: Machine
     if mode != STUCK:
         friction = load.viscous_damping * velocity + load.dry_friction * mode
         rate[1] = (external_force(state, machine) - friction) / load.mass
-    inside_domain = True
-    if machine.plain:
-        # The paper's case, without the general one's detours: the inner loop of every orbit.
-        for k in range(machine.chambers.shape[0]):
-            volume = chamber_volume(k, state[0], machine)
-            if not (volume > 0.0 and state[2 + k] > 0.0):
-                inside_domain = False
-                break
-            inside = gas_in_chamber(k, state[2 + k], machine)
-            flow = 0.0
-            for path in range(machine.paths.shape[0]):
-                if machine.paths[path, 0] == k:
-                    source = machine.supply if machine.paths[path, 1] == SUPPLY else machine.exhaust
-                    flow += mass_flow(areas[0, path], areas[1, path], source, inside, machine.gas)
-            supplied = machine.gas.specific_gas_constant * inside.temperature * flow
-            swept = inside.pressure * machine.chambers[k, 1] * velocity
-            rate[2 + k] = machine.chambers[k, 2] / volume * (supplied - swept)
-    else:
-        inside_domain = _volume_rates(state, areas, velocity, machine, rate)
-    return inside_domain
+    return _volume_rates(state, areas, velocity, machine, rate)
 
 
-@compiled
-def _volume_rates(
-    state: FloatArray, areas: FloatArray, velocity: float, machine: MachineArrays, rate: FloatArray
+def _plain_rates(
+    state: FloatArray, areas: FloatArray, velocity: float, machine: MachineRecord, rate: FloatArray
+) -> bool:
+    """Write the rates of all pressures in the paper's case: the inner loop of every orbit."""
+    for k in range(machine.n_volumes):
+        volume = chamber_volume(k, state[0], machine)
+        if not (volume > 0.0 and state[2 + k] > 0.0):
+            return False
+        inside = gas_in_chamber(k, state[2 + k], machine)
+        flow = 0.0
+        for path in range(machine.n_paths):
+            if machine.paths[path].volume == k:
+                source = source_state(machine.paths[path].source, machine)
+                flow += mass_flow(areas[0, path], areas[1, path], source, inside, machine.gas)
+        supplied = machine.gas.specific_gas_constant * inside.temperature * flow
+        swept = inside.pressure * machine.volumes[k].slope * velocity
+        rate[2 + k] = machine.volumes[k].polytropic_exponent / volume * (supplied - swept)
+    return True
+
+
+def _general_rates(
+    state: FloatArray, areas: FloatArray, velocity: float, machine: GeneralRecord, rate: FloatArray
 ) -> bool:
     """Write the rates of all pressures and temperatures of any medium and process; False outside their domain."""
-    n_volumes = machine.chambers.shape[0]
+    n_volumes = machine.n_volumes
     for k in range(n_volumes):
         here = gas_in_volume(k, state, machine)
         if not (
@@ -146,12 +179,12 @@ def _volume_rates(
         rate[2 + k] = 0.0
         place = temperature_place(k, machine)
         if place >= 0:
-            rate[place] = machine.chambers[k, CONDUCTANCE] * (machine.chambers[k, WALL_TEMPERATURE] - here.temperature)
-    for path in range(machine.paths.shape[0]):
+            rate[place] = machine.volumes[k].conductance * (machine.volumes[k].wall_temperature - here.temperature)
+    for path in range(machine.n_paths):
         first, second = areas[0, path], areas[1, path]
         if first == 0.0 or second == 0.0:
             continue
-        k, other = machine.paths[path, 0], machine.paths[path, 1]
+        k, other = machine.paths[path].volume, machine.paths[path].source
         source, inside = gas_at_source(path, state, machine), gas_in_volume(k, state, machine)
         flow = path_flow(first, second, source, inside, machine.medium)
         rate[2 + k] += flow
@@ -165,7 +198,7 @@ def _volume_rates(
             if out >= 0:
                 rate[out] -= flow * enthalpy
     for k in range(n_volumes):
-        volume, swept = chamber_volume(k, state[0], machine), machine.chambers[k, 1] * velocity
+        volume, swept = chamber_volume(k, state[0], machine), machine.volumes[k].slope * velocity
         place, here = temperature_place(k, machine), gas_in_volume(k, state, machine)
         if place < 0:
             along = density_along(k, here, machine)
@@ -178,6 +211,9 @@ def _volume_rates(
     return True
 
 
+_volume_rates = by_field("medium", "machine", _general_rates, _plain_rates)
+
+
 class Along(NamedTuple):
     """Density [kg/m^3] and its first and second derivative over the pressure, along a volume's process."""
 
@@ -187,19 +223,19 @@ class Along(NamedTuple):
 
 
 @compiled
-def temperature_slope(k: int, here: GasState, machine: MachineArrays) -> float:
+def temperature_slope(k: int, here: GasState, machine: MachineRecord) -> float:
     """Return dT/dp [K/Pa] where the temperature follows from the pressure, by (4)."""
-    exponent = machine.chambers[k, 2]
+    exponent = machine.volumes[k].polytropic_exponent
     return (exponent - 1.0) / exponent * here.temperature / here.pressure
 
 
 @compiled
-def density_along(k: int, here: GasState, machine: MachineArrays) -> Along:
+def density_along(k: int, here: GasState, machine: GeneralRecord) -> Along:
     """Return the density of volume k as a function of its pressure alone, its temperature by (4)."""
     found = properties(here.pressure, here.temperature, machine.medium)
-    if machine.medium.kind == LIQUID:
+    if is_liquid(machine):
         return Along(found.rho, found.rho_p, found.rho_pp)
-    exponent = machine.chambers[k, 2]
+    exponent = machine.volumes[k].polytropic_exponent
     slope = temperature_slope(k, here, machine)
     curvature = -slope / (exponent * here.pressure)
     return Along(
@@ -210,9 +246,9 @@ def density_along(k: int, here: GasState, machine: MachineArrays) -> Along:
 
 
 @compiled
-def enthalpy_of(here: GasState, machine: MachineArrays) -> tuple[float, float, float]:
+def enthalpy_of(here: GasState, machine: MachineRecord) -> tuple[float, float, float]:
     """Return the specific enthalpy u + p / rho [J/kg] and its slopes over pressure and temperature."""
-    found = properties(here.pressure, here.temperature, machine.medium)
+    found = properties_of(here, machine)
     p, rho = here.pressure, found.rho
     return (
         found.u + p / rho,

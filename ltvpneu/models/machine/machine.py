@@ -8,13 +8,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, final
+from typing import Any, cast, final
 
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, not_negative, positive, read_only
 from ltvpneu._values import Value
-from ltvpneu.models.machine.arrays import EXHAUST, INPUTS, SUPPLY, LoadConstants, MachineArrays
 from ltvpneu.models.machine.connections import (
     COLLAPSES,
     SOURCES,
@@ -25,12 +24,25 @@ from ltvpneu.models.machine.connections import (
     through_valve,
 )
 from ltvpneu.models.machine.openings import OpeningTable, opening_table
+from ltvpneu.models.machine.records import (
+    EXHAUST,
+    GENERAL,
+    INPUTS,
+    MAX_PATHS,
+    MAX_VOLUMES,
+    PLAIN,
+    SUPPLY,
+    LoadFields,
+    MachineRecord,
+    PathFields,
+    VolumeFields,
+)
 from ltvpneu.physics.cylinder import ATMOSPHERE, Cylinder
 from ltvpneu.physics.gas import Gas, GasState
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
-from ltvpneu.physics.medium import LAMINAR, Medium, MediumArrays, check_process, warn_if_cold
+from ltvpneu.physics.medium import LAMINAR, MAX_TABLE, Medium, check_process, warn_if_cold
 from ltvpneu.physics.proportional import Command, ProportionalValve
 from ltvpneu.physics.real_gas import RealGas
 from ltvpneu.physics.thermal import EnergyBalance
@@ -100,6 +112,17 @@ class Machine(Value):
             raise ValueError(f'collapse: found {self.collapse!r}, expected "minimum", "in_series" or "dynamic"')
         self._check_connections()
         self._check_medium()
+        self._check_room()
+
+    def _check_room(self) -> None:
+        """Raise unless the machine has room in its record."""
+        for what, found, room in (
+            ("volumes", len(self.volumes), MAX_VOLUMES),
+            ("flow paths", len(self.connections), MAX_PATHS),
+            ("numbers in the table of its medium", self.gas.table.size, MAX_TABLE),
+        ):
+            if found > room:
+                raise ValueError(f"machine: found {found} {what}, expected at most {room}")
 
     def _check_connections(self) -> None:
         for path in self.flow_paths:
@@ -336,47 +359,74 @@ class Machine(Value):
         return opening_table(self.connections)
 
     @cached_property
-    def arrays(self) -> MachineArrays:
-        """The machine as the compiled kernels read it."""
-        c, load, gas, volumes = self.cylinder, self.load, self.gas, self.volumes
+    def volume_fields(self) -> tuple[VolumeFields, ...]:
+        """What the equations need of each volume, in the order of `volumes`."""
+        c, gas = self.cylinder, self.gas
         rows = {
-            "chamber_1": (c.dead_volume_1, c.piston_area_1, c.polytropic_exponent_1, c.push_area_1),
-            "chamber_2": (c.dead_volume_2, -c.piston_area_2, c.polytropic_exponent_2, c.push_area_2),
+            "chamber_1": (c.dead_volume_1 or 0.0, c.piston_area_1, c.polytropic_exponent_1, c.push_area_1),
+            "chamber_2": (c.dead_volume_2 or 0.0, -c.piston_area_2, c.polytropic_exponent_2, c.push_area_2),
         }
         each = [rows[name] for name in c.chambers]
         each += [(inner.volume, 0.0, inner.polytropic_exponent, 0.0) for inner in self.inner_volumes]
-        known = {"supply": SUPPLY, "exhaust": EXHAUST, **{name: k for k, name in enumerate(volumes)}}
-        paths = [(known[path.chamber], known[path.source]) for path in self.connections]
-        place, thermal = 2 + len(volumes), list[tuple[float, float, int]]()
-        for balance in self._balances:
+        place, found = 2 + len(each), list[VolumeFields]()
+        for row, balance in zip(each, self._balances, strict=True):
             if balance is None:
-                thermal.append((0.0, gas.temperature, -1))
+                found.append(VolumeFields(*row, 0.0, gas.temperature, -1))
                 continue
             wall = gas.temperature if balance.wall_temperature is None else balance.wall_temperature
-            thermal.append((balance.conductance, wall, place))
+            found.append(VolumeFields(*row, balance.conductance, wall, place))
             place += 1
-        plain = isinstance(gas, Gas) and place == 2 + len(volumes) and all(source < 0 for _, source in paths)
-        return MachineArrays(
-            gas=gas.constants,
-            load=LoadConstants(
-                mass=float(load.mass),
-                spring_stiffness=float(load.spring_stiffness),
-                viscous_damping=float(load.viscous_damping),
-                dry_friction=float(load.dry_friction),
-                stiction=float(load.stiction),
-                force=float(load.force),
-                ambient_push_area=float(c.ambient_push_area),
-                ambient_pressure=float(self.ambient_pressure),
-                lower_stop=float(c.lower_stop),
-                upper_stop=float(c.upper_stop),
-            ),
-            supply=GasState(float(self.supply_pressure), float(self.gas.temperature)),
-            exhaust=GasState(float(self.exhaust_pressure), float(self.gas.temperature)),
-            chambers=np.column_stack([np.array(each, dtype=np.float64), np.array(thermal, dtype=np.float64)]),
-            paths=np.array(paths, dtype=np.int64),
-            medium=MediumArrays(gas.kind, 0.0 if plain else LAMINAR, gas.constants, gas.table),
-            plain=plain,
+        return tuple(found)
+
+    @cached_property
+    def path_fields(self) -> tuple[PathFields, ...]:
+        """Which volume each of the connections leads to, and from where."""
+        known = {"supply": SUPPLY, "exhaust": EXHAUST, **{name: k for k, name in enumerate(self.volumes)}}
+        return tuple(PathFields(known[path.chamber], known[path.source]) for path in self.connections)
+
+    @cached_property
+    def is_plain(self) -> bool:
+        """Whether all is as in the paper: ideal gas, no temperature a state, no path between volumes."""
+        no_temperature = all(volume.temperature_place < 0 for volume in self.volume_fields)
+        return isinstance(self.gas, Gas) and no_temperature and all(path.source < 0 for path in self.path_fields)
+
+    @cached_property
+    def record(self) -> MachineRecord:
+        """The machine as the compiled kernels read it: a numpy record of the layout `PLAIN` or `GENERAL`."""
+        return self.as_record(PLAIN if self.is_plain else GENERAL)
+
+    def as_record(self, layout: np.dtype[Any]) -> MachineRecord:
+        """Return the machine as a record of a layout; every machine fits `GENERAL`."""
+        c, load, gas = self.cylinder, self.load, self.gas
+        found = np.zeros(1, layout)
+        found["gas"] = gas.constants
+        found["load"] = LoadFields(
+            mass=load.mass,
+            spring_stiffness=load.spring_stiffness,
+            viscous_damping=load.viscous_damping,
+            dry_friction=load.dry_friction,
+            stiction=load.stiction,
+            force=load.force,
+            ambient_push_area=c.ambient_push_area,
+            ambient_pressure=self.ambient_pressure,
+            lower_stop=c.lower_stop,
+            upper_stop=c.upper_stop,
         )
+        found["supply"] = GasState(self.supply_pressure, gas.temperature)
+        found["exhaust"] = GasState(self.exhaust_pressure, gas.temperature)
+        for name, fields in (("volumes", self.volume_fields), ("paths", self.path_fields)):
+            found[f"n_{name}"] = len(fields)
+            found[name][0, : len(fields)] = list(fields)
+        if layout == GENERAL:
+            medium = found["medium"]
+            medium["kind"], medium["laminar"], medium["gas"] = (
+                gas.kind,
+                0.0 if self.is_plain else LAMINAR,
+                gas.constants,
+            )
+            medium["table"][0, : gas.table.size] = gas.table
+        found.setflags(write=False)
+        return cast(MachineRecord, found[0])
 
     @cached_property
     def has_infinite_slopes(self) -> bool:
@@ -386,7 +436,9 @@ class Machine(Value):
     @cached_property
     def is_isothermal(self) -> bool:
         """Whether all is an ideal gas of constant temperature: its pressures' rates are homogeneous, and superpose."""
-        constant = len(self.states) == 2 + self.n_volumes and bool((self.arrays.chambers[:, 2] == 1.0).all())
+        constant = len(self.states) == 2 + self.n_volumes and all(
+            volume.polytropic_exponent == 1.0 for volume in self.volume_fields
+        )
         return constant and isinstance(self.gas, Gas)
 
     @cached_property
@@ -395,8 +447,8 @@ class Machine(Value):
 
         Dead length, that times a frequency of the piston on its chambers, supply pressure, temperature of the medium.
         """
-        arrays, n_chambers = self.arrays, len(self.cylinder.chambers)
-        volume, slope = arrays.chambers[:n_chambers, 0], arrays.chambers[:n_chambers, 1]
+        chambers = self.volume_fields[: len(self.cylinder.chambers)]
+        volume, slope = np.array([chamber.size for chamber in chambers]), np.array([c.slope for c in chambers])
         length = float(np.max(np.abs(volume / slope)))
         modulus = self.exhaust_pressure
         if isinstance(self.gas, Liquid):

@@ -1,13 +1,15 @@
 """Openings of the paths over a turn: the table of the profiles, and areas at a time."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ltvpneu._arrays import BoolArray, FloatArray, IntArray, read_only
-from ltvpneu._compiled import inlined
+from ltvpneu._arrays import BoolArray, FloatArray, IntArray, layout, read_only
+from ltvpneu._compiled import compiled
 from ltvpneu.models.machine.connections import Connection
+from ltvpneu.models.machine.records import MAX_PATHS
 from ltvpneu.physics.profile import merge_angles
 
 LEAST_JUMP = 1e-9
@@ -30,6 +32,20 @@ class OpeningTable(NamedTuple):
     def ramped(self) -> BoolArray:
         """Whether any area changes within the piece, shape (n_pieces,)."""
         return self.rises > 0
+
+    def pieces_at(self, fractions: FloatArray) -> IntArray:
+        """Return the pieces that shares of the period lie in, of the same shape; at an instant, the later one."""
+        found: IntArray = np.searchsorted(self.fractions, fractions, side="right") - 1
+        return np.clip(found, 0, self.rises.size - 1)
+
+    def areas_at(self, fractions: FloatArray, pieces: IntArray) -> FloatArray:
+        """Return the effective areas at shares of the period, each within a piece, shape (..., 2, n_paths)."""
+        share = (fractions - self.fractions[pieces]) / np.diff(self.fractions)[pieces]
+        begin, end = self.areas[pieces][..., (0, 2), :], self.areas[pieces][..., (1, 3), :]
+        with np.errstate(invalid="ignore"):
+            between = begin + share[..., None, None] * (end - begin)
+        # Not interpolated where equal: an absent second restriction is infinite at both ends.
+        return np.where(begin == end, begin, between)
 
 
 def opening_table(connections: Sequence[Connection]) -> OpeningTable:
@@ -58,33 +74,44 @@ def opening_table(connections: Sequence[Connection]) -> OpeningTable:
     )
 
 
-class Schedule(NamedTuple):
-    """One valve period: when the openings change, and what they are between."""
+class PieceRecord(NamedTuple):
+    """A piece of the valve period, as the compiled kernels read it: the openings are linear over it."""
 
-    times: FloatArray
-    """Piece ends [s], from 0 to the period, shape (n_pieces + 1,)."""
-    areas: FloatArray
-    """As `OpeningTable.areas`."""
-    ramped: BoolArray
-    """Whether any area changes within the piece, shape (n_pieces,)."""
+    begin: float
+    """[s]"""
+    end: float
+    ramped: bool
+    """Whether any area changes."""
+    areas: Annotated[FloatArray, 4, MAX_PATHS]
+    """As a row of `OpeningTable.areas` [m^2]."""
 
 
-@inlined
-def write_areas(time: float, piece: int, schedule: Schedule, areas: FloatArray) -> None:
+PIECE = layout(PieceRecord)
+Pieces = NDArray[Any]
+"""The pieces of a valve period, one `PieceRecord` each, shape (n_pieces,)."""
+
+
+@compiled
+def write_areas(time: float, piece: PieceRecord, areas: FloatArray) -> None:
     """Write the effective areas at a time within a piece into `areas`, shape (2, n_paths)."""
-    begin, end = schedule.times[piece], schedule.times[piece + 1]
-    share = (time - begin) / (end - begin)
+    share = (time - piece.begin) / (piece.end - piece.begin)
     for path in range(areas.shape[1]):
         for row in range(2):
-            at_start = schedule.areas[piece, 2 * row, path]
-            at_end = schedule.areas[piece, 2 * row + 1, path]
+            at_start, at_end = piece.areas[2 * row, path], piece.areas[2 * row + 1, path]
             # Not interpolated where equal: an absent second restriction is infinite at both ends.
             areas[row, path] = at_start if at_start == at_end else at_start + share * (at_end - at_start)
 
 
-def schedule_of(table: OpeningTable, period: float) -> Schedule:
+def pieces_of(table: OpeningTable, period: float) -> Pieces:
     """Return the openings over one valve period [s]."""
-    return Schedule(table.fractions * period, table.areas, table.ramped)
+    return _pieces(table.fractions * period, table.areas, table.ramped)
+
+
+def _pieces(times: FloatArray, areas: FloatArray, ramped: BoolArray) -> Pieces:
+    pieces = np.zeros(ramped.size, PIECE)
+    pieces["begin"], pieces["end"], pieces["ramped"] = times[:-1], times[1:], ramped
+    pieces["areas"][:, :, : areas.shape[2]] = areas
+    return pieces
 
 
 def step_means(table: OpeningTable, fractions: FloatArray) -> FloatArray:
@@ -93,40 +120,24 @@ def step_means(table: OpeningTable, fractions: FloatArray) -> FloatArray:
         return (table.areas[:, (0, 2)] + table.areas[:, (1, 3)]) / 2
     cuts = np.union1d(table.fractions, fractions)
     middles, widths = (cuts[:-1] + cuts[1:]) / 2, np.diff(cuts)
-    piece = np.searchsorted(table.fractions, middles) - 1
-    share = (middles - table.fractions[piece]) / np.diff(table.fractions)[piece]
-    at_start, at_end = table.areas[piece][:, (0, 2)], table.areas[piece][:, (1, 3)]
-    with np.errstate(invalid="ignore"):
-        values = at_start + share[:, None, None] * (at_end - at_start)
-    values = np.where(np.isinf(at_start), np.inf, values)
+    values = table.areas_at(middles, table.pieces_at(middles))
     step = np.searchsorted(fractions, middles) - 1
     sums = np.zeros((fractions.size - 1, *values.shape[1:]))
     np.add.at(sums, step, widths[:, None, None] * values)
     return sums / np.diff(fractions)[:, None, None]
 
 
-def cut_schedule(table: OpeningTable, cells: FloatArray, period: float) -> tuple[Schedule, IntArray, FloatArray]:
+def cut_pieces(table: OpeningTable, cells: FloatArray, period: float) -> tuple[Pieces, IntArray, FloatArray]:
     """Return the openings on pieces that end at the cells' boundaries too, each cell's first piece, and its mean areas.
 
     Shapes: cells (n_cells + 1,) to first pieces (n_cells + 1,) and areas (n_cells, 2, n_paths).
     """
     if np.array_equal(table.fractions, cells):
-        schedule = Schedule(table.fractions * period, table.areas, table.ramped)
-        return schedule, np.arange(cells.size), np.array(step_means(table, table.fractions), order="C")
+        return pieces_of(table, period), np.arange(cells.size), np.array(step_means(table, table.fractions), order="C")
     fractions = np.union1d(table.fractions, cells)
     middles = (fractions[:-1] + fractions[1:]) / 2
-    piece = np.searchsorted(table.fractions, middles) - 1
-    begin, width = table.fractions[:-1][piece], np.diff(table.fractions)[piece]
-    shares = ((fractions[:-1] - begin) / width, (fractions[1:] - begin) / width)
+    piece = table.pieces_at(middles)
     areas = np.empty((middles.size, *table.areas.shape[1:]))
-    for row in (0, 2):
-        at_start, at_end = table.areas[piece, row], table.areas[piece, row + 1]
-        for which, share in enumerate(shares):
-            with np.errstate(invalid="ignore"):
-                between = at_start + share[:, None] * (at_end - at_start)
-            # Not interpolated where equal: an absent second restriction is infinite at both ends.
-            areas[:, row + which] = np.where(at_start == at_end, at_start, between)
-    ramped: BoolArray = table.ramped[piece]
-    areas.setflags(write=False)
-    schedule = Schedule(fractions * period, areas, ramped)
-    return schedule, np.searchsorted(fractions, cells), np.array(step_means(table, cells), order="C")
+    areas[:, (0, 2)], areas[:, (1, 3)] = table.areas_at(fractions[:-1], piece), table.areas_at(fractions[1:], piece)
+    pieces = _pieces(fractions * period, areas, table.ramped[piece])
+    return pieces, np.searchsorted(fractions, cells), np.array(step_means(table, cells), order="C")

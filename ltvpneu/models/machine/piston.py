@@ -5,17 +5,19 @@ import math
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled, inlined
-from ltvpneu.models.machine.arrays import MachineArrays
+from ltvpneu._compiled import compiled
 from ltvpneu.models.machine.dynamics import STUCK, external_force
+from ltvpneu.models.machine.records import MachineRecord
 from ltvpneu.physics.friction import holding_force, slip_direction
 
+REVERSES, LOWER_STOP, UPPER_STOP, BREAKS_AWAY = range(4)
+"""Kinds of events: the velocity reverses, the piston meets a stop, or leaves its rest."""
 STOP_ROUNDING = 1e-15
 """Relative distance from a stop that is rounding [-]."""
 
 
 @compiled
-def at_stop(position: float, machine: MachineArrays) -> int:
+def at_stop(position: float, machine: MachineRecord) -> int:
     """Return the stop that a position is at: -1 the lower, 1 the upper, 0 neither.
 
     States that were scaled and back are off by rounding.
@@ -30,7 +32,7 @@ def at_stop(position: float, machine: MachineArrays) -> int:
 
 
 @compiled
-def _holds(position: float, machine: MachineArrays) -> tuple[float, float]:
+def _holds(position: float, machine: MachineRecord) -> tuple[float, float]:
     """Return the forces that a resting piston withstands towards lower and higher positions [N]."""
     hold = holding_force(machine.load.dry_friction, machine.load.stiction)
     side = at_stop(position, machine)
@@ -38,7 +40,7 @@ def _holds(position: float, machine: MachineArrays) -> tuple[float, float]:
 
 
 @compiled
-def is_pressed(state: FloatArray, machine: MachineArrays) -> bool:
+def is_pressed(state: FloatArray, machine: MachineRecord) -> bool:
     """Whether a piston at rest at a stop is pressed on it by more than stiction would hold beside it.
 
     Then a move off the stop does not last: the force brings the piston back.
@@ -49,7 +51,7 @@ def is_pressed(state: FloatArray, machine: MachineArrays) -> bool:
 
 
 @compiled
-def mode_of(state: FloatArray, machine: MachineArrays) -> int:
+def mode_of(state: FloatArray, machine: MachineRecord) -> int:
     """Mode of the piston: the direction of its velocity; at rest, `STUCK` or the direction in which it breaks away."""
     if state[1] > 0.0:
         return 1
@@ -60,8 +62,8 @@ def mode_of(state: FloatArray, machine: MachineArrays) -> int:
     return STUCK if direction == 0 else direction
 
 
-@inlined
-def hold_left(state: FloatArray, machine: MachineArrays) -> float:
+@compiled
+def hold_left(state: FloatArray, machine: MachineRecord) -> float:
     """Return how much more force a resting piston withstands [N]; below zero it breaks away."""
     force = external_force(state, machine)
     down, up = _holds(state[0], machine)
@@ -69,30 +71,30 @@ def hold_left(state: FloatArray, machine: MachineArrays) -> float:
 
 
 @compiled
-def margin_at(state: FloatArray, kind: int, mode: int, machine: MachineArrays) -> float:
-    """Return what an event waits for to fall below zero, at a state; kinds as of `first_event`."""
-    if kind == 0:
+def margin_at(state: FloatArray, kind: int, mode: int, machine: MachineRecord) -> float:
+    """Return what an event of a kind waits for to fall below zero, at a state."""
+    if kind == REVERSES:
         return mode * state[1]
-    if kind == 1:
+    if kind == LOWER_STOP:
         return state[0] - machine.load.lower_stop
-    if kind == 2:
+    if kind == UPPER_STOP:
         return machine.load.upper_stop - state[0]
     return hold_left(state, machine)
 
 
 @compiled
-def after_event(kind: int, state: FloatArray, scales: FloatArray, machine: MachineArrays) -> int:
+def after_event(kind: int, state: FloatArray, scales: FloatArray, machine: MachineRecord) -> int:
     """Bring a scaled state to rest at an event that it has reached, and return the mode it goes on in."""
     state[1] = 0.0
-    if kind == 1:
+    if kind == LOWER_STOP:
         state[0] = machine.load.lower_stop / scales[0]
-    elif kind == 2:
+    elif kind == UPPER_STOP:
         state[0] = machine.load.upper_stop / scales[0]
     z = np.empty(scales.size)
     for i in range(scales.size):
         z[i] = state[i] * scales[i]
     mode = mode_of(z, machine)
-    if kind == 3 and mode == STUCK:
+    if kind == BREAKS_AWAY and mode == STUCK:
         # Rounding must not hold what has just broken away.
         mode = 1 if external_force(z, machine) > 0.0 else -1
     return mode

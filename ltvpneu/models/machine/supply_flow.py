@@ -4,31 +4,32 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.machine.arrays import EXHAUST, N_INPUTS, SUPPLY, MachineArrays, temperature_place
 from ltvpneu.models.machine.dynamics import flow_into, gas_in_volume, temperature_slope
+from ltvpneu.models.machine.records import EXHAUST, N_INPUTS, SUPPLY, MachineRecord, source_state, temperature_place
+from ltvpneu.models.machine.tangent import flow_slopes_into
 from ltvpneu.physics.gas import GasState
-from ltvpneu.physics.medium import path_flow_slopes
 
 
 @compiled
-def source_flow(states: FloatArray, areas: FloatArray, from_supply: bool, machine: MachineArrays) -> FloatArray:
+def source_flow(states: FloatArray, areas: FloatArray, from_supply: bool, machine: MachineRecord) -> FloatArray:
     """Return the mass flow out of the supply, or out of the exhaust, at a stack of states [kg/s], (n_states,).
 
     Shapes: states (n_states, n), areas (n_states, 2, n_paths).
     """
     found = np.zeros(states.shape[0])
-    source, wanted = (machine.supply, SUPPLY) if from_supply else (machine.exhaust, EXHAUST)
+    wanted = SUPPLY if from_supply else EXHAUST
+    source = source_state(wanted, machine)
     for i in range(states.shape[0]):
-        for path in range(machine.paths.shape[0]):
-            if machine.paths[path, 1] == wanted:
-                inside = gas_in_volume(machine.paths[path, 0], states[i], machine)
+        for path in range(machine.n_paths):
+            if machine.paths[path].source == wanted:
+                inside = gas_in_volume(machine.paths[path].volume, states[i], machine)
                 found[i] += flow_into(areas[i, 0, path], areas[i, 1, path], source, inside, machine)
     return found
 
 
 @compiled
 def supply_flow_tangents(
-    points: FloatArray, areas: FloatArray, distance: float, machine: MachineArrays
+    points: FloatArray, areas: FloatArray, distance: float, machine: MachineRecord
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return rows c, d and offset q of the supply's mass flow c z + d u + q [kg/s] about one state per step.
 
@@ -36,13 +37,13 @@ def supply_flow_tangents(
     """
     n_steps, n = points.shape
     by_state, by_input, offset = np.zeros((n_steps, n)), np.zeros((n_steps, N_INPUTS)), np.zeros(n_steps)
-    source = machine.supply
+    source = source_state(SUPPLY, machine)
     for i in range(n_steps):
-        for path in range(machine.paths.shape[0]):
+        for path in range(machine.n_paths):
             first, second = areas[i, 0, path], areas[i, 1, path]
-            if machine.paths[path, 1] != SUPPLY or first == 0.0 or second == 0.0:
+            if machine.paths[path].source != SUPPLY or first == 0.0 or second == 0.0:
                 continue
-            k = machine.paths[path, 0]
+            k = machine.paths[path].volume
             inside = gas_in_volume(k, points[i], machine)
             least = distance * source.pressure
             if abs(inside.pressure - source.pressure) < least:
@@ -53,9 +54,7 @@ def supply_flow_tangents(
                 by_state[i, 2 + k] += slope
                 by_input[i, 0] -= slope
                 continue
-            through, by_source, by_chamber, by_temperature = path_flow_slopes(
-                first, second, source, inside, machine.medium
-            )
+            through, by_source, by_chamber, by_temperature = flow_slopes_into(first, second, source, inside, machine)
             by_state[i, 2 + k] += by_chamber
             by_input[i, 0] += by_source
             offset[i] += through - by_chamber * inside.pressure - by_source * source.pressure

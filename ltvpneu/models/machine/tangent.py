@@ -9,17 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled, inlined
-from ltvpneu.models.machine.arrays import (
-    AMBIENT,
-    CONDUCTANCE,
-    LOAD_FORCE,
-    N_INPUTS,
-    SUPPLY,
-    WALL_TEMPERATURE,
-    MachineArrays,
-    temperature_place,
-)
+from ltvpneu._compiled import by_field, compiled
 from ltvpneu.models.machine.dynamics import (
     balanced,
     chamber_volume,
@@ -30,14 +20,24 @@ from ltvpneu.models.machine.dynamics import (
     gas_in_volume,
     temperature_slope,
 )
+from ltvpneu.models.machine.records import (
+    AMBIENT,
+    LOAD_FORCE,
+    N_INPUTS,
+    GeneralRecord,
+    MachineRecord,
+    is_liquid,
+    source_state,
+    temperature_place,
+)
 from ltvpneu.physics.flow import mass_flow, mass_flow_slopes
+from ltvpneu.physics.gas import GasState
 from ltvpneu.physics.medium import path_flow_slopes, properties
-from ltvpneu.physics.properties import LIQUID
 
 
 @compiled
 def state_tangent(
-    state: FloatArray, areas: FloatArray, machine: MachineArrays, full: bool, A: FloatArray, B: FloatArray
+    state: FloatArray, areas: FloatArray, machine: MachineRecord, full: bool, A: FloatArray, B: FloatArray
 ) -> None:
     """Write the derivatives of the state's rate over the state and over the inputs into `A` and `B`.
 
@@ -52,7 +52,7 @@ def state_tangent(
     B : ndarray, shape (n, 4)
         Over the machine's `INPUTS`.
     """
-    load, n_volumes = machine.load, machine.chambers.shape[0]
+    load, n_volumes = machine.load, machine.n_volumes
     A.fill(0.0)
     B.fill(0.0)
     A[0, 1] = 1.0
@@ -61,22 +61,17 @@ def state_tangent(
     B[1, AMBIENT] = load.ambient_push_area / load.mass
     B[1, LOAD_FORCE] = 1.0 / load.mass
     for k in range(n_volumes):
-        A[1, 2 + k] = machine.chambers[k, 3] / load.mass
-    if machine.plain:
-        for k in range(n_volumes):
-            _plain_row(k, state, areas, full, machine, A, B)
-    else:
-        _volume_rows(state, areas, full, machine, A, B)
+        A[1, 2 + k] = machine.volumes[k].push_area / load.mass
+    _volume_rows(state, areas, machine, full, A, B)
 
 
-@compiled
-def _volume_rows(
-    state: FloatArray, areas: FloatArray, full: bool, machine: MachineArrays, A: FloatArray, B: FloatArray
+def _general_rows(
+    state: FloatArray, areas: FloatArray, machine: GeneralRecord, full: bool, A: FloatArray, B: FloatArray
 ) -> None:
     """Write the rows of all pressures and temperatures, of any medium and process."""
-    n_volumes = machine.chambers.shape[0]
+    n_volumes = machine.n_volumes
     sums = _Sums(np.zeros((n_volumes, 2)), A, B)
-    for path in range(machine.paths.shape[0]):
+    for path in range(machine.n_paths):
         if areas[0, path] != 0.0 and areas[1, path] != 0.0:
             _add_path(path, state, areas, machine, sums)
     velocity = state[1] if full else 0.0
@@ -87,40 +82,62 @@ def _volume_rows(
             _energy_rows(k, state, velocity, full, machine, sums)
 
 
-@inlined
-def _plain_row(  # noqa: PLR0913 - compiled into its one caller
-    k: int, state: FloatArray, areas: FloatArray, full: bool, machine: MachineArrays, A: FloatArray, B: FloatArray
+def _plain_rows(
+    state: FloatArray, areas: FloatArray, machine: MachineRecord, full: bool, A: FloatArray, B: FloatArray
 ) -> None:
-    """Write the row of a pressure in the paper's case, as `state_rate` has it, without the general one's detours."""
-    inside = gas_in_chamber(k, state[2 + k], machine)
-    exponent, slope = machine.chambers[k, 2], machine.chambers[k, 1]
-    flow, by_chamber = 0.0, 0.0
-    for path in range(machine.paths.shape[0]):
-        first, second = areas[0, path], areas[1, path]
-        if machine.paths[path, 0] != k or first == 0.0 or second == 0.0:
-            continue
-        from_supply = machine.paths[path, 1] == SUPPLY
-        source = machine.supply if from_supply else machine.exhaust
-        slopes = mass_flow_slopes(first, second, source, inside, machine.gas)
-        through = mass_flow(first, second, source, inside, machine.gas)
-        flow += through
-        B[2 + k, 0 if from_supply else 1] += slopes[0]
-        by_chamber += slopes[1]
-        if through < 0.0:
-            # An outflow carries the chamber's temperature, M_f ~ T^(-1/2), and T follows the pressure by (4).
-            by_chamber -= 0.5 * through * (exponent - 1.0) / (exponent * inside.pressure)
-    volume = chamber_volume(k, state[0], machine)
-    factor = exponent / volume
-    supplied = machine.gas.specific_gas_constant * inside.temperature
-    by_temperature = (exponent - 1.0) / (exponent * inside.pressure) * flow
-    A[2 + k, 1] = -factor * inside.pressure * slope
-    A[2 + k, 2 + k] = factor * supplied * (by_chamber + by_temperature)
-    B[2 + k, 0] *= factor * supplied
-    B[2 + k, 1] *= factor * supplied
-    if full:
-        swept = inside.pressure * slope * state[1]
-        A[2 + k, 2 + k] -= factor * slope * state[1]
-        A[2 + k, 0] = -factor * (supplied * flow - swept) * slope / volume
+    """Write the rows of all pressures in the paper's case, as `state_rate` has it."""
+    for k in range(machine.n_volumes):
+        inside = gas_in_chamber(k, state[2 + k], machine)
+        exponent, slope = machine.volumes[k].polytropic_exponent, machine.volumes[k].slope
+        flow, by_chamber = 0.0, 0.0
+        for path in range(machine.n_paths):
+            first, second = areas[0, path], areas[1, path]
+            if machine.paths[path].volume != k or first == 0.0 or second == 0.0:
+                continue
+            source = source_state(machine.paths[path].source, machine)
+            slopes = mass_flow_slopes(first, second, source, inside, machine.gas)
+            through = mass_flow(first, second, source, inside, machine.gas)
+            flow += through
+            B[2 + k, -1 - machine.paths[path].source] += slopes[0]
+            by_chamber += slopes[1]
+            if through < 0.0:
+                # An outflow carries the chamber's temperature, M_f ~ T^(-1/2), and T follows the pressure by (4).
+                by_chamber -= 0.5 * through * (exponent - 1.0) / (exponent * inside.pressure)
+        volume = chamber_volume(k, state[0], machine)
+        factor = exponent / volume
+        supplied = machine.gas.specific_gas_constant * inside.temperature
+        by_temperature = (exponent - 1.0) / (exponent * inside.pressure) * flow
+        A[2 + k, 1] = -factor * inside.pressure * slope
+        A[2 + k, 2 + k] = factor * supplied * (by_chamber + by_temperature)
+        B[2 + k, 0] *= factor * supplied
+        B[2 + k, 1] *= factor * supplied
+        if full:
+            swept = inside.pressure * slope * state[1]
+            A[2 + k, 2 + k] -= factor * slope * state[1]
+            A[2 + k, 0] = -factor * (supplied * flow - swept) * slope / volume
+
+
+_volume_rows = by_field("medium", "machine", _general_rows, _plain_rows)
+
+
+def _general_slopes(
+    first: float, second: float, source: GasState, inside: GasState, machine: GeneralRecord
+) -> tuple[float, float, float, float]:
+    return path_flow_slopes(first, second, source, inside, machine.medium)
+
+
+def _plain_slopes(
+    first: float, second: float, source: GasState, inside: GasState, machine: MachineRecord
+) -> tuple[float, float, float, float]:
+    flow = mass_flow(first, second, source, inside, machine.gas)
+    by_source, by_chamber = mass_flow_slopes(first, second, source, inside, machine.gas)
+    # M_f ~ T^(-1/2) of the side upstream, (5).
+    upstream = source.temperature if flow >= 0.0 else inside.temperature
+    return flow, by_source, by_chamber, -0.5 * flow / upstream
+
+
+flow_slopes_into = by_field("medium", "machine", _general_slopes, _plain_slopes)
+"""Mass flow from a source into a volume [kg/s] and its slopes, as of `path_flow_slopes`, in any medium."""
 
 
 class _Sums(NamedTuple):
@@ -158,8 +175,8 @@ def _add(column: int, value: float, row_A: FloatArray, row_B: FloatArray) -> Non
 
 
 @compiled
-def _slopes(path: int, state: FloatArray, areas: FloatArray, machine: MachineArrays) -> _Slopes:
-    k, other = machine.paths[path, 0], machine.paths[path, 1]
+def _slopes(path: int, state: FloatArray, areas: FloatArray, machine: GeneralRecord) -> _Slopes:
+    k, other = machine.paths[path].volume, machine.paths[path].source
     source, inside = gas_at_source(path, state, machine), gas_in_volume(k, state, machine)
     flow, by_source, by_chamber, by_temperature = path_flow_slopes(
         areas[0, path], areas[1, path], source, inside, machine.medium
@@ -177,10 +194,10 @@ def _slopes(path: int, state: FloatArray, areas: FloatArray, machine: MachineArr
 
 
 @compiled
-def _add_path(path: int, state: FloatArray, areas: FloatArray, machine: MachineArrays, sums: _Sums) -> None:
+def _add_path(path: int, state: FloatArray, areas: FloatArray, machine: GeneralRecord, sums: _Sums) -> None:
     """Add a path's flows to the volumes at its ends, and their derivatives to the rows of these."""
     totals, A, B = sums.totals, sums.A, sums.B
-    k, other = machine.paths[path, 0], machine.paths[path, 1]
+    k, other = machine.paths[path].volume, machine.paths[path].source
     found = _slopes(path, state, areas, machine)
     for end in range(2):
         volume, sign = (k, 1.0) if end == 0 else (other, -1.0)
@@ -212,10 +229,10 @@ def _add_flow(factor: float, found: _Slopes, row_A: FloatArray, row_B: FloatArra
 
 
 @compiled
-def _pressure_row(k: int, state: FloatArray, velocity: float, full: bool, machine: MachineArrays, sums: _Sums) -> None:
+def _pressure_row(k: int, state: FloatArray, velocity: float, full: bool, machine: GeneralRecord, sums: _Sums) -> None:
     """Turn the derivatives of a volume's mass flow into those of its pressure's rate (M - rho V') / (V d rho/dp)."""
     mass, A, B = sums.totals[k, 0], sums.A, sums.B
-    volume, slope = chamber_volume(k, state[0], machine), machine.chambers[k, 1]
+    volume, slope = chamber_volume(k, state[0], machine), machine.volumes[k].slope
     along = density_along(k, gas_in_volume(k, state, machine), machine)
     factor = 1.0 / (volume * along.by_pressure)
     for j in range(state.size):
@@ -226,7 +243,7 @@ def _pressure_row(k: int, state: FloatArray, velocity: float, full: bool, machin
     A[2 + k, 2 + k] -= slope * velocity / volume
     # At rest, with nothing swept, the rate is the whole flow's: times the change of a liquid's bulk modulus it would
     # make a feedback that the machine does not have. The paper's choice is a constant bulk modulus there.
-    if full or machine.medium.kind != LIQUID:
+    if full or not is_liquid(machine):
         A[2 + k, 2 + k] -= rate * along.second / along.by_pressure
     A[2 + k, 1] -= along.density * slope * factor
     if full:
@@ -234,19 +251,23 @@ def _pressure_row(k: int, state: FloatArray, velocity: float, full: bool, machin
 
 
 @compiled
-def _energy_rows(k: int, state: FloatArray, velocity: float, full: bool, machine: MachineArrays, sums: _Sums) -> None:
+def _energy_rows(k: int, state: FloatArray, velocity: float, full: bool, machine: GeneralRecord, sums: _Sums) -> None:
     """Turn the derivatives of a volume's mass and energy flow into those of the rates of pressure and temperature.
 
     Of M(y) y' = b(y) the derivative is M^-1 (b_y - M_y y').
     """
     A, B = sums.A, sums.B
     p, row, place = 2 + k, 2 + k, temperature_place(k, machine)
-    volume, slope, here = chamber_volume(k, state[0], machine), machine.chambers[k, 1], gas_in_volume(k, state, machine)
+    volume, slope, here = (
+        chamber_volume(k, state[0], machine),
+        machine.volumes[k].slope,
+        gas_in_volume(k, state, machine),
+    )
     found = properties(here.pressure, here.temperature, machine.medium)
-    conductance, swept = machine.chambers[k, CONDUCTANCE], slope * velocity
+    conductance, swept = machine.volumes[k].conductance, slope * velocity
     rho, u = found.rho, found.u
     mass, energy = sums.totals[k, 0], sums.totals[k, 1]
-    energy += conductance * (machine.chambers[k, WALL_TEMPERATURE] - here.temperature)
+    energy += conductance * (machine.volumes[k].wall_temperature - here.temperature)
     rates = balanced(found, volume, mass - rho * swept, energy - here.pressure * swept - u * mass)
     for j in range(state.size):
         A[row, j], A[place, j] = balanced(found, volume, A[row, j], A[place, j] - u * A[row, j])
@@ -283,7 +304,7 @@ def _energy_rows(k: int, state: FloatArray, velocity: float, full: bool, machine
 
 @compiled
 def tangents(
-    states: FloatArray, areas: FloatArray, machine: MachineArrays, full: bool
+    states: FloatArray, areas: FloatArray, machine: MachineRecord, full: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Return the tangents at one state per step: (n_steps, n, n) over the state, (n_steps, n, 4) over the inputs."""
     n_steps, n = states.shape

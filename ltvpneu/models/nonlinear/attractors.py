@@ -20,12 +20,12 @@ from ltvpneu._arrays import ComplexArray, FloatArray, IntArray, finite_array, po
 from ltvpneu._values import Value
 from ltvpneu.errors import LtvpneuError, NotSettledError
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.openings import schedule_of
+from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
 from ltvpneu.models.nonlinear.floquet import orbit_floquet
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.rest import positions_of_rest
-from ltvpneu.models.nonlinear.runge_kutta import Run
+from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.settle import settle
 from ltvpneu.models.nonlinear.simulation import check_state, integration_settings, nonlinear_orbit
 from ltvpneu.periodic.floquet import Floquet
@@ -214,7 +214,7 @@ def stroke_of(machine: Machine) -> tuple[float, float]:
     # Where nothing bounds it, a dead length away from zero; and not where a chamber is all but swept empty.
     low = low if math.isfinite(low) else -0.5 * length
     high = high if math.isfinite(high) else 0.5 * length
-    for volume, slope in machine.arrays.chambers[: len(cylinder.chambers), :2]:
+    for volume, slope, *_ in machine.volume_fields[: len(cylinder.chambers)]:
         edge = -0.5 * volume / slope
         low, high = (max(low, edge), high) if slope > 0 else (low, min(high, edge))
     low = cylinder.lower_stop if math.isfinite(cylinder.lower_stop) else low
@@ -234,7 +234,7 @@ class _Search:
         # Of each orbit all that joined it: of a band, its places of rest.
         self.members: list[list[Orbit]] = []
         settings = integration_settings(machine, LOOSE_RTOL)
-        self.run = Run(schedule_of(machine.openings, 1 / frequency), machine.arrays, settings)
+        self.run = new_run(machine.record, settings, pieces_of(machine.openings, 1 / frequency))
 
     def follow(self, state: FloatArray, max_periods: int) -> int:
         """Return the number of the orbit that a start leads to."""

@@ -19,16 +19,23 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, positive, read_only
 from ltvpneu._compiled import compiled
 from ltvpneu._values import Value
-from ltvpneu.models.machine.arrays import CONDUCTANCE, WALL_TEMPERATURE, MachineArrays
-from ltvpneu.models.machine.dynamics import chamber_volume, enthalpy_of, flow_into, gas_at_source, gas_in_volume
+from ltvpneu.models.machine.dynamics import (
+    chamber_volume,
+    enthalpy_of,
+    flow_into,
+    gas_at_source,
+    gas_in_volume,
+    properties_of,
+)
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.openings import Schedule, schedule_of
-from ltvpneu.models.nonlinear.integrator import OK, Record, integrate_period
-from ltvpneu.models.nonlinear.runge_kutta import Run
+from ltvpneu.models.machine.openings import Pieces, pieces_of, write_areas
+from ltvpneu.models.machine.records import MachineRecord
+from ltvpneu.models.nonlinear.integrator import OK, Record
+from ltvpneu.models.nonlinear.runge_kutta import new_run
+from ltvpneu.models.nonlinear.settle import integrate_period
 from ltvpneu.models.nonlinear.simulation import integration_settings
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.physics.medium import properties
 
 NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(8))
 MASS_IN, MASS_OUT, ENTHALPY_IN, ENTHALPY_OUT, HEAT, WORK = range(6)
@@ -110,17 +117,18 @@ def balance(machine: Machine, orbit: Orbit, *, rtol: float = 1e-12) -> Balance:
         raise ValueError(
             f"orbit: found states {', '.join(orbit.states)}, expected the machine's: {', '.join(machine.states)}"
         )
-    schedule = schedule_of(machine.openings, orbit.system_period)
+    pieces = pieces_of(machine.openings, orbit.system_period)
     settings = integration_settings(machine, positive("rtol", rtol))
     # Without the floor that orbits keep under pressures near a source's: what it leaves uncounted is looked for here.
-    run = Run(schedule, machine.arrays, settings._replace(atol=0.1 * rtol * machine.state_scales))
+    settings = settings._replace(atol=0.1 * rtol * machine.state_scales)
+    run = new_run(machine.record, settings, pieces)
     state = np.array(orbit.initial_state)
     before, total = _stored(state, machine), np.zeros((machine.n_volumes, 6))
     for number in range(orbit.n_periods):
-        outcome = integrate_period(state, run, True)
+        outcome = integrate_period(state, run)
         if outcome.status != OK:
             raise_stopped(machine, outcome.status, number * orbit.system_period + outcome.time, outcome.state)
-        total += _integrals(outcome.record, schedule, machine.arrays)
+        total += _integrals(outcome.record, pieces, machine.record)
         state = outcome.state
     gap = float(np.max(np.abs(state - orbit.initial_state) / machine.state_scales))
     if not gap < CLOSES:
@@ -152,33 +160,27 @@ def balance(machine: Machine, orbit: Orbit, *, rtol: float = 1e-12) -> Balance:
 
 def _stored(state: FloatArray, machine: Machine) -> FloatArray:
     """Return mass and internal energy in each volume, (n_volumes, 2)."""
-    found, arrays = np.empty((machine.n_volumes, 2)), machine.arrays
+    found, record = np.empty((machine.n_volumes, 2)), machine.record
     for k in range(machine.n_volumes):
-        here = gas_in_volume(k, state, arrays)
-        now = properties(here.pressure, here.temperature, arrays.medium)
-        mass = now.rho * chamber_volume(k, state[0], arrays)
+        now = properties_of(gas_in_volume(k, state, record), record)
+        mass = now.rho * chamber_volume(k, float(state[0]), record)
         found[k] = mass, mass * now.u
     return found
 
 
 @compiled
-def _integrals(record: Record, schedule: Schedule, machine: MachineArrays) -> FloatArray:
+def _integrals(record: Record, pieces: Pieces, machine: MachineRecord) -> FloatArray:
     """Return the integrals over a period of all that passes through each volume, (n_volumes, 6)."""
-    n, n_paths = record.coefficients.shape[2], machine.paths.shape[0]
-    total, passed = np.zeros((machine.chambers.shape[0], 6)), np.empty((machine.chambers.shape[0], 6))
+    n, n_paths = record.coefficients.shape[2], machine.n_paths
+    total, passed = np.zeros((machine.n_volumes, 6)), np.empty((machine.n_volumes, 6))
     state, areas = np.empty(n), np.empty((2, n_paths))
     for interval in range(record.starts.size):
-        piece, p = record.pieces[interval], record.coefficients[interval]
-        begin, width = schedule.times[piece], schedule.times[piece + 1] - schedule.times[piece]
+        p, piece = record.coefficients[interval], int(record.pieces[interval])
         for node in range(NODES.size):
             t = (0.5 + NODES[node]) * record.spans[interval]
             for i in range(n):
                 state[i] = (((p[4, i] * t + p[3, i]) * t + p[2, i]) * t + p[1, i]) * t + p[0, i]
-            share = (record.starts[interval] + t - begin) / width
-            for row in range(2):
-                for path in range(n_paths):
-                    first, last = schedule.areas[piece, 2 * row, path], schedule.areas[piece, 2 * row + 1, path]
-                    areas[row, path] = first if first == last else first + share * (last - first)
+            write_areas(record.starts[interval] + t, pieces[piece], areas)
             _passing(state, areas, machine, passed)
             weight = WEIGHTS[node] * record.spans[interval]
             for k in range(total.shape[0]):
@@ -188,18 +190,18 @@ def _integrals(record: Record, schedule: Schedule, machine: MachineArrays) -> Fl
 
 
 @compiled
-def _passing(state: FloatArray, areas: FloatArray, machine: MachineArrays, passed: FloatArray) -> None:
+def _passing(state: FloatArray, areas: FloatArray, machine: MachineRecord, passed: FloatArray) -> None:
     """Write what passes through each volume at a state, (n_volumes, 6), into `passed`."""
     passed.fill(0.0)
-    for k in range(machine.chambers.shape[0]):
+    for k in range(machine.n_volumes):
         here = gas_in_volume(k, state, machine)
-        passed[k, HEAT] = machine.chambers[k, CONDUCTANCE] * (machine.chambers[k, WALL_TEMPERATURE] - here.temperature)
-        passed[k, WORK] = here.pressure * machine.chambers[k, 1] * state[1]
-    for path in range(machine.paths.shape[0]):
+        passed[k, HEAT] = machine.volumes[k].conductance * (machine.volumes[k].wall_temperature - here.temperature)
+        passed[k, WORK] = here.pressure * machine.volumes[k].slope * state[1]
+    for path in range(machine.n_paths):
         first, second = areas[0, path], areas[1, path]
         if first == 0.0 or second == 0.0:
             continue
-        into, other = machine.paths[path, 0], machine.paths[path, 1]
+        into, other = machine.paths[path].volume, machine.paths[path].source
         source, inside = gas_at_source(path, state, machine), gas_in_volume(into, state, machine)
         flow = flow_into(first, second, source, inside, machine)
         enthalpy = enthalpy_of(source if flow >= 0.0 else inside, machine)[0]

@@ -21,12 +21,12 @@ import math
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, read_only
-from ltvpneu.models.machine.arrays import N_INPUTS
 from ltvpneu.models.machine.chord import Tangent, tangent_at
 from ltvpneu.models.machine.dynamics import STUCK, state_rate
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.openings import cut_schedule
+from ltvpneu.models.machine.openings import pieces_of, write_areas
 from ltvpneu.models.machine.piston import is_pressed
+from ltvpneu.models.machine.records import N_INPUTS
 from ltvpneu.models.nonlinear.polynomial import PolynomialTrajectory
 from ltvpneu.models.nonlinear.simulation import mode_labelled
 from ltvpneu.periodic.floquet import Floquet, Maps, orbit_multipliers
@@ -80,8 +80,7 @@ class _Factors:
     def __init__(self, machine: Machine, orbit: Orbit, trajectory: PolynomialTrajectory) -> None:
         self.machine, self.orbit, self.trajectory = machine, orbit, trajectory
         self.n, self.scales = len(machine.states), machine.state_scales
-        schedule, _, _ = cut_schedule(machine.openings, machine.openings.fractions, orbit.system_period)
-        self.times, self.areas = schedule.times, schedule.areas
+        self.pieces = pieces_of(machine.openings, orbit.system_period)
         # A creep to the edge of a stiction band is rest: set beside it, within the band, the piston stays.
         labels = orbit.step_labels if orbit.is_isolated else ("stuck",) * len(orbit.step_labels)
         self.modes = [mode_labelled(label) for label in labels]
@@ -109,7 +108,7 @@ class _Factors:
                     # A small velocity is braked at once, having moved the piston by its square only.
                     at_once([np.diag([1.0, 0.0, *np.ones(self.n - 2)])])
             pressed = pressed and mode == STUCK
-            if mode == STUCK and not pressed and is_pressed(self._state(interval, 0.0), self.machine.arrays):
+            if mode == STUCK and not pressed and is_pressed(self._state(interval, 0.0), self.machine.record):
                 pressed = True
                 at_once([self._back_on_stop(interval)])
             found += list(self._smooth(interval, mode))
@@ -137,16 +136,15 @@ class _Factors:
 
     def _areas(self, time: float) -> FloatArray:
         within = math.fmod(time, self.orbit.system_period)
-        piece = int(np.clip(np.searchsorted(self.times, within, side="right") - 1, 0, self.times.size - 2))
-        share = (within - self.times[piece]) / (self.times[piece + 1] - self.times[piece])
-        begin, end = self.areas[piece][[0, 2]], self.areas[piece][[1, 3]]
-        with np.errstate(invalid="ignore"):
-            return np.where(begin == end, begin, begin + share * (end - begin))
+        piece = max(int(np.searchsorted(self.pieces["begin"], within, side="right")) - 1, 0)
+        areas = np.empty((2, len(self.machine.path_fields)))
+        write_areas(within, self.pieces[piece], areas)
+        return areas
 
     def _tangent(self, state: FloatArray, areas: FloatArray, mode: int) -> Tangent:
         n = self.n
         found = Tangent(np.empty((n, n)), np.empty((n, N_INPUTS)), np.empty(n), np.empty(n), np.empty(n))
-        tangent_at(state, areas, mode, self.machine.arrays, NEAREST_SOURCE, found)
+        tangent_at(state, areas, mode, self.machine.record, NEAREST_SOURCE, found)
         return found
 
     def _scaled_tangent(self, state: FloatArray, areas: FloatArray, mode: int) -> FloatArray:
@@ -163,7 +161,7 @@ class _Factors:
 
     def _rate(self, state: FloatArray, areas: FloatArray, mode: int) -> FloatArray:
         rate = np.empty(self.n)
-        state_rate(state, areas, mode, self.machine.arrays, rate)
+        state_rate(state, areas, mode, self.machine.record, rate)
         return rate / self.scales
 
     def _saltation(self, interval: int, before: int, after: int) -> list[FloatArray]:
@@ -175,13 +173,13 @@ class _Factors:
             return []
         areas = self._areas(float(self.trajectory.starts[last] + self.trajectory.spans[last]) * (1 - 1e-12))
         rate_before, rate_after = self._rate(arriving, areas, before), self._rate(leaving, areas, after)
-        load, n = self.machine.arrays.load, self.n
+        machine, n = self.machine, self.n
         gradient, reset = np.zeros(n), np.eye(n)
-        at_stop = leaving[0] in (load.lower_stop, load.upper_stop)
+        at_stop = leaving[0] in (machine.cylinder.lower_stop, machine.cylinder.upper_stop)
         if before == STUCK:
             # Breaks away where the external force reaches what holds it.
-            gradient[0] = -load.spring_stiffness
-            gradient[2 : 2 + self.machine.n_volumes] = self.machine.arrays.chambers[:, 3]
+            gradient[0] = -machine.load.spring_stiffness
+            gradient[2 : 2 + machine.n_volumes] = [volume.push_area for volume in machine.volume_fields]
             gradient *= self.scales
         elif at_stop and abs(arriving[1]) > 1e-6 * self.scales[1]:
             gradient[0] = 1.0

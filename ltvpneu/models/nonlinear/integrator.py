@@ -14,12 +14,23 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, IntArray
 from ltvpneu._compiled import compiled
 from ltvpneu.models.machine.dynamics import STUCK
-from ltvpneu.models.machine.piston import mode_of
+from ltvpneu.models.machine.openings import PieceRecord
 from ltvpneu.models.nonlinear.events import first_event, land, rest_at_source
-from ltvpneu.models.nonlinear.runge_kutta import Run, Workspace, copy, first_length, fixed_length, start_rate, try_step
+from ltvpneu.models.nonlinear.runge_kutta import (
+    RunRecord,
+    Workspace,
+    copy,
+    first_length,
+    is_adaptive,
+    start_rate,
+    try_step,
+)
 
 OK, TOO_MANY_STEPS, STEP_TOO_SMALL, LEFT_DOMAIN = 0, 1, 2, 3
 """How an integration ended."""
+START, SPAN, MODE, PIECE_NUMBER, POLYNOMIAL = range(5)
+"""Columns of a log: start [s] and span [s] of an interval, mode of the piston, number of the piece, and the first of
+the interpolant's coefficients, ascending powers of the time since the start, all states for each."""
 
 
 class Record(NamedTuple):
@@ -42,143 +53,127 @@ class Outcome(NamedTuple):
 
     status: int
     time: float
-    steps: int
     state: FloatArray
     record: Record
 
 
-class Progress(NamedTuple):
-    """How far an integration has got."""
-
-    status: int
-    time: float
-    steps: int
-    kind: int
-    """Event that it stopped at, as of `first_event`; below zero where it reached the end."""
-
-
-class Log(NamedTuple):
-    """Intervals recorded so far, in arrays with room for more."""
-
-    rows: FloatArray
-    """Start [s], span [s], mode, piece of the valve's cycle; (capacity, 4)."""
-    coefficients: FloatArray
-    """(capacity, 5, n_states)"""
-    n_logged: int
+def record_of(log: FloatArray) -> Record:
+    """Return the intervals of a log, one row each."""
+    return Record(
+        starts=log[:, START].copy(),
+        spans=log[:, SPAN].copy(),
+        modes=log[:, MODE].astype(np.int64),
+        pieces=log[:, PIECE_NUMBER].astype(np.int64),
+        coefficients=log[:, POLYNOMIAL:].copy().reshape(len(log), 5, -1),
+    )
 
 
 @compiled
-def _logged(log: Log, row: tuple[float, float, int, int], h: float, coefficients: FloatArray) -> Log:
-    """Return the log with one more interval: start, span, mode, piece, and the interpolant over a step of length h."""
-    rows, recorded, count = log.rows, log.coefficients, log.n_logged
-    if count == rows.shape[0]:
-        rows = np.empty((2 * count, 4))
-        recorded = np.empty((2 * count, 5, coefficients.shape[1]))
-        copy(log.rows.ravel(), rows.ravel())
-        copy(log.coefficients.ravel(), recorded.ravel())
-    rows[count, 0], rows[count, 1], rows[count, 2], rows[count, 3] = row
+def new_log(n_states: int) -> FloatArray:
+    """Return an empty log, which grows as it fills."""
+    return np.empty((64, POLYNOMIAL + 5 * n_states))
+
+
+@compiled
+def _logged(
+    log: FloatArray, number: int, span: float, h: float, mode: int, run: RunRecord, space: Workspace
+) -> FloatArray:  # noqa: PLR0913 - one interval has as many parts
+    """Return the log with one more interval, the interpolant over a step of length h."""
+    count, n = run.progress.n_logged, space.state.size
+    if count == log.shape[0]:
+        longer = np.empty((2 * count, log.shape[1]))
+        for row in range(count):
+            for column in range(log.shape[1]):
+                longer[row, column] = log[row, column]
+        log = longer
+    log[count, START], log[count, SPAN] = run.progress.time, span
+    log[count, MODE], log[count, PIECE_NUMBER] = mode, number
     scale = 1.0
     for power in range(5):
-        for i in range(coefficients.shape[1]):
-            recorded[count, power, i] = coefficients[power, i] * scale
+        for i in range(n):
+            log[count, POLYNOMIAL + power * n + i] = space.coefficients[power, i] * scale
         scale /= h
-    return Log(rows, recorded, count + 1)
+    run.progress.n_logged = count + 1
+    return log
 
 
 @compiled
-def advance(
-    begin: tuple[float, int, int], end: float, mode: int, run: Run, space: Workspace, log: Log
-) -> tuple[Progress, Log]:
+def advance(  # noqa: PLR0913 - compiled, and called once per piece and event
+    end: float, mode: int, number: int, piece: PieceRecord, run: RunRecord, space: Workspace, log: FloatArray
+) -> FloatArray:
     """Integrate within one piece of the valve's cycle up to a time, or to an event of the piston, and land there.
 
     Parameters
     ----------
-    begin : (float, int, int)
-        Time [s], piece, and steps taken so far.
     end : float
         At most the end of the piece [s].
     mode : int
-    run : Run
+    number : int
+        Of the piece, for the log.
+    piece : PieceRecord
+    run : RunRecord
+        Its `progress` says where to start from, and then where it got to.
     space : Workspace
         With the state to start from; left with the state reached.
-    log : Log
-        `n_logged` below zero records nothing.
+    log : ndarray, shape (capacity, columns)
+
+    Returns
+    -------
+    ndarray
+        The log, or a longer one.
     """
-    time, piece, steps = begin
-    period = run.schedule.times[-1]
-    adaptive = run.settings.fixed_step == 0.0
+    progress, machine, period = run.progress, run.machine, run.period
+    adaptive = is_adaptive(run)
+    progress.kind = -1
     # A length of zero asks for a first step; only the rate at its start can tell how long.
-    h, fresh = (0.0 if adaptive else fixed_length(piece, run)), True
-    while time < end:
-        if steps >= run.settings.max_steps:
-            return Progress(TOO_MANY_STEPS, time, steps, -1), log
-        steps += 1
-        if fresh and not start_rate(time, piece, mode, run, space):
-            return Progress(LEFT_DOMAIN, time, steps, -1), log
+    h, fresh = 0.0, True
+    while progress.time < end:
+        if progress.steps >= run.settings.max_steps:
+            progress.status = TOO_MANY_STEPS
+            break
+        progress.steps += 1
+        if fresh and not start_rate(mode, piece, run, space):
+            progress.status = LEFT_DOMAIN
+            break
         if h == 0.0:
-            h = first_length(time, piece, mode, run, space)
+            h = first_length(mode, piece, run, space)
         fresh = False
-        copy(space.state, space.coefficients[0])
-        last = time + 1.000001 * h >= end
+        for i in range(space.state.size):
+            space.coefficients[0, i] = space.state[i]
+        last = progress.time + 1.000001 * h >= end
         if last:
-            h = end - time
-        error = try_step(h, time, piece, mode, run, space)
+            h = end - progress.time
+        error = try_step(h, mode, piece, run, space)
         if error > 1.0:
             h *= max(0.2, 0.9 * error**-0.2)
             if h < 1e-15 * period or not adaptive:
-                status = LEFT_DOMAIN if math.isinf(error) else STEP_TOO_SMALL
-                return Progress(status, time, steps, -1), log
+                progress.status = LEFT_DOMAIN if math.isinf(error) else STEP_TOO_SMALL
+                break
             continue
-        share, kind = first_event(mode, space.coefficients, run.machine, space.rate)
+        share, kind = first_event(mode, space.coefficients, machine, space.rate)
         if not adaptive and kind >= 0:
             share = 1.0
         span = min(share, 1.0) * h
-        if log.n_logged >= 0 and span > 0.0:
-            log = _logged(log, (time, span, mode, piece), h, space.coefficients)
-        time = end if last and share >= 1.0 else time + span
+        if span > 0.0:
+            log = _logged(log, number, span, h, mode, run, space)
+        progress.time = end if last and share >= 1.0 else progress.time + span
         if kind >= 0:
-            land(kind, share, run, space)
-            return Progress(OK, time, steps, kind), log
-        copy(space.new, space.state)
-        copy(space.stages[6], space.stages[0])
+            land(kind, share, machine, space)
+            progress.kind = kind
+            break
+        for i in range(space.state.size):
+            space.state[i] = space.new[i]
+            space.stages[0, i] = space.stages[6, i]
         if mode == STUCK:
-            fresh = rest_at_source(run, space)
+            fresh = rest_at_source(machine, space)
         if adaptive:
             h *= min(5.0, 0.9 * max(error, 1e-10) ** -0.2)
-    return Progress(OK, time, steps, -1), log
+    return log
 
 
 @compiled
 def new_workspace(start: FloatArray, n_paths: int) -> Workspace:
     """Return arrays for an integration from `start`, shape (n_states,)."""
-    n = start.size
-    return Workspace(start.copy(), np.empty(n), np.empty(n), np.zeros((7, n)), np.zeros((5, n)), np.empty((2, n_paths)))
-
-
-@compiled
-def integrate_period(start: FloatArray, run: Run, recording: bool) -> Outcome:
-    """Integrate over one valve period from `start`, shape (n_states,)."""
-    n = start.size
-    space = new_workspace(start, run.machine.paths.shape[0])
-    log = (
-        Log(np.empty((64, 4)), np.empty((64, 5, n)), 0) if recording else Log(np.empty((0, 4)), np.empty((0, 5, n)), -1)
-    )
-    progress = Progress(OK, 0.0, 0, -1)
-    for piece in range(run.schedule.times.size - 1):
-        end = run.schedule.times[piece + 1]
-        mode = mode_of(space.state, run.machine)
-        progress, log = advance((run.schedule.times[piece], piece, progress.steps), end, mode, run, space, log)
-        while progress.kind >= 0 and progress.status == OK:
-            mode = mode_of(space.state, run.machine)
-            progress, log = advance((progress.time, piece, progress.steps), end, mode, run, space, log)
-        if progress.status != OK:
-            break
-    rows = log.rows[: max(log.n_logged, 0)]
-    record = Record(
-        rows[:, 0].copy(),
-        rows[:, 1].copy(),
-        rows[:, 2].astype(np.int64),
-        rows[:, 3].astype(np.int64),
-        log.coefficients[: rows.shape[0]].copy(),
-    )
-    return Outcome(progress.status, progress.time, progress.steps, space.state, record)
+    n, state = start.size, np.empty(start.size)
+    copy(start, state)
+    return Workspace(state, np.empty(n), np.empty(n), np.zeros((7, n)), np.zeros((5, n)), np.empty((2, n_paths)))

@@ -26,9 +26,9 @@ def rests_in_a_band(machine: Machine, states: FloatArray, modes: IntArray) -> bo
     """
     if not machine.has_dry_friction or not (modes == STUCK).all():
         return False
-    if at_stop(float(states[0, 0]), machine.arrays) == 0:
+    if at_stop(float(states[0, 0]), machine.record) == 0:
         return True
-    forces = [external_force(state, machine.arrays) for state in states]
+    forces = [external_force(state, machine.record) for state in states]
     hold = holding_force(machine.load.dry_friction, machine.load.stiction)
     # Pressed against an end stop by more than stiction holds, it has nowhere else to rest.
     return max(abs(force) for force in forces) <= hold * (1 + 1e-9)
@@ -40,8 +40,8 @@ def what_holds(machine: Machine, states: FloatArray, modes: IntArray) -> str:
         return ""
     if rests_in_a_band(machine, states, modes):
         return BY_STICTION
-    side = at_stop(float(states[0, 0]), machine.arrays)
-    if side == 0 or not any(is_pressed(state, machine.arrays) for state in states):
+    side = at_stop(float(states[0, 0]), machine.record)
+    if side == 0 or not any(is_pressed(state, machine.record) for state in states):
         return ""
     return f"rests on the {'upper' if side > 0 else 'lower'} stop, {1e3 * float(states[0, 0]):.4g} mm"
 
@@ -76,9 +76,9 @@ def positions_of_rest(machine: Machine) -> tuple[float, float]:
 
     Within stops and volumes; infinite where nothing bounds them: no spring, stop or chamber on that side.
     """
-    load, arrays = machine.load, machine.arrays
+    load = machine.load
     lower, upper = machine.cylinder.lower_stop, machine.cylinder.upper_stop
-    for volume, slope in arrays.chambers[: len(machine.cylinder.chambers), :2]:
+    for volume, slope, *_ in machine.volume_fields[: len(machine.cylinder.chambers)]:
         edge = -volume / slope
         if slope > 0:
             lower = max(lower, 0.999 * edge)
@@ -86,8 +86,10 @@ def positions_of_rest(machine: Machine) -> tuple[float, float]:
             upper = min(upper, 0.999 * edge)
     if load.spring_stiffness > 0:
         hold = holding_force(load.dry_friction, load.stiction)
-        rest = load.force + arrays.load.ambient_push_area * machine.ambient_pressure
-        ends = np.outer(arrays.chambers[:, 3], [machine.exhaust_pressure, machine.supply_pressure])
+        rest = load.force + machine.cylinder.ambient_push_area * machine.ambient_pressure
+        ends = np.outer(
+            [volume.push_area for volume in machine.volume_fields], [machine.exhaust_pressure, machine.supply_pressure]
+        )
         lower = max(lower, (rest + float(ends.min(axis=1).sum()) - hold) / load.spring_stiffness)
         upper = min(upper, (rest + float(ends.max(axis=1).sum()) + hold) / load.spring_stiffness)
     # Where all of them lie beyond a stop, the piston lies on it.

@@ -5,37 +5,93 @@ classical method of fourth order, whose interpolant is the cubic through both st
 """
 
 import math
-from typing import NamedTuple
+from functools import cache
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import RK45
 
-from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled, inlined
-from ltvpneu.models.machine.arrays import MachineArrays
+from ltvpneu._arrays import FloatArray, layout
+from ltvpneu._compiled import by_field, compiled
 from ltvpneu.models.machine.dynamics import state_rate
-from ltvpneu.models.machine.openings import Schedule, write_areas
+from ltvpneu.models.machine.openings import PieceRecord, Pieces, write_areas
+from ltvpneu.models.machine.records import MAX_STATES, MachineRecord
 
 
-class Settings(NamedTuple):
-    """How to integrate."""
+class AdaptiveSettings(NamedTuple):
+    """How to integrate with step control."""
 
     rtol: float
-    """Tolerated error of a step relative to the state [-]; unused with a fixed step."""
-    atol: FloatArray
-    """The same, absolute, per state, shape (n_states,)."""
-    fixed_step: float
-    """Longest step of the fixed-step method [s]; 0 for the adaptive one."""
+    """Tolerated error of a step relative to the state [-]."""
     max_steps: int
-    """Steps a period may take."""
+    """Steps that a period may take."""
+    atol: Annotated[FloatArray, MAX_STATES]
+    """As `rtol`, but absolute, per state."""
+
+
+class FixedSettings(NamedTuple):
+    """How to integrate with a fixed step."""
+
+    longest: float
+    """Longest step [s]."""
+    max_steps: int
+    """Steps that a period may take."""
+
+
+Settings = AdaptiveSettings | FixedSettings
+
+
+class Progress:
+    """How far an integration has got."""
+
+    status: int
+    time: float
+    """[s]"""
+    steps: int
+    kind: int
+    """Kind of the event that it stopped at; below zero where it reached the end."""
+    n_logged: int
+    """Intervals logged."""
+
+
+class RunRecord:
+    """What is integrated, how, and how far that has got, as the compiled kernels read it.
+
+    There are four types of it, by the type of the machine and of the settings.
+    """
+
+    machine: MachineRecord
+    settings: AdaptiveSettings
+    period: float
+    """[s]"""
+    progress: Progress
 
 
 class Run(NamedTuple):
     """What is integrated, and how."""
 
-    schedule: Schedule
-    machine: MachineArrays
-    settings: Settings
+    records: NDArray[Any]
+    """One `RunRecord`, shape (1,)."""
+    pieces: Pieces
+
+
+@cache
+def run_layout(machine: np.dtype[Any], settings: type) -> np.dtype[Any]:
+    """Return the layout of a `RunRecord` for a type of machine and of settings."""
+    fields = [("machine", machine), ("settings", layout(settings)), ("period", np.float64)]
+    return np.dtype([*fields, ("progress", layout(Progress))], align=True)
+
+
+def new_run(machine: MachineRecord, settings: Settings, pieces: Pieces) -> Run:
+    """Return a run of a machine through the pieces of its valve period."""
+    record: Any = machine
+    records = np.zeros(1, run_layout(record.dtype, type(settings)))
+    records["machine"], records["period"] = record, pieces["end"][-1]
+    for name, value in settings._asdict().items():
+        target = records["settings"][name]
+        target[(0, *map(slice, np.shape(value)))] = value
+    return Run(records, pieces)
 
 
 class Workspace(NamedTuple):
@@ -64,33 +120,31 @@ _ERROR = RK45.E
 _INTERPOLANT = RK45.P
 
 
-@inlined
+@compiled
 def copy(source: FloatArray, target: FloatArray) -> None:
     """Write one vector into another entry by entry: numba takes seconds to compile what checks the shapes of slices."""
     for i in range(source.size):
         target[i] = source[i]
 
 
-@inlined
-def _adaptive_step(h: float, time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
+def _adaptive_step(h: float, mode: int, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
     """Try one Dormand-Prince step and return its scaled error; infinite where a stage left the equations' domain.
 
     Writes the new state, its rate as the seventh stage and, if the error is at most one, the interpolant.
     """
     state, new, stages, settings = space.state, space.new, space.stages, run.settings
     # Areas that do not change were written when the piece began.
-    n, ramped = new.size, run.schedule.ramped[piece]
+    n, time = new.size, run.progress.time
     for stage in range(1, 7):
         for i in range(n):
             total = 0.0
             for j in range(stage):
                 total += _STAGES[stage, j] * stages[j, i]
             new[i] = state[i] + h * total
-        if ramped:
-            write_areas(time + _NODES[stage] * h, piece, run.schedule, space.areas)
-        if not state_rate(new, space.areas, mode, run.machine, space.rate):
+        if piece.ramped:
+            write_areas(time + _NODES[stage] * h, piece, space.areas)
+        if not state_rate(new, space.areas, mode, run.machine, stages[stage]):
             return math.inf
-        copy(space.rate, stages[stage])
     worst = 0.0
     for i in range(n):
         error = 0.0
@@ -108,8 +162,7 @@ def _adaptive_step(h: float, time: float, piece: int, mode: int, run: Run, space
     return worst
 
 
-@compiled
-def _fixed_step(h: float, time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
+def _fixed_step(h: float, mode: int, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
     """Take one classical Runge-Kutta step of fourth order; return 0, or infinity as `_adaptive_step`.
 
     The interpolant is the cubic through both states and rates.
@@ -122,10 +175,9 @@ def _fixed_step(h: float, time: float, piece: int, mode: int, run: Run, space: W
             if stage == 4:
                 slope = (stages[0, i] + 2.0 * stages[1, i] + 2.0 * stages[2, i] + stages[3, i]) / 6.0
             new[i] = state[i] + share * h * slope
-        write_areas(time + share * h, piece, run.schedule, space.areas)
-        if not state_rate(new, space.areas, mode, run.machine, space.rate):
+        write_areas(run.progress.time + share * h, piece, space.areas)
+        if not state_rate(new, space.areas, mode, run.machine, stages[stage]):
             return math.inf
-        copy(space.rate, stages[stage])
     # Where the next step looks for the rate of its start.
     copy(stages[4], stages[6])
     for i in range(new.size):
@@ -137,15 +189,24 @@ def _fixed_step(h: float, time: float, piece: int, mode: int, run: Run, space: W
     return 0.0
 
 
+try_step = by_field("settings.rtol", "run", _adaptive_step, _fixed_step)
+"""Try a step of the run's method, from its present time; return its scaled error, accepted up to one."""
+
+
+def _controls_steps(run: RunRecord) -> bool:
+    return True
+
+
+def _keeps_steps(run: RunRecord) -> bool:
+    return False
+
+
+is_adaptive = by_field("settings.rtol", "run", _controls_steps, _keeps_steps)
+"""Whether the run's method chooses its steps by their error."""
+
+
 @compiled
-def fixed_length(piece: int, run: Run) -> float:
-    """Length of the fixed-step method's steps in a piece, a whole number of which fill it [s]."""
-    length = run.schedule.times[piece + 1] - run.schedule.times[piece]
-    return length / math.ceil(length / run.settings.fixed_step * (1.0 - 1e-12))
-
-
-@inlined
-def _scaled_size(values: FloatArray, state: FloatArray, settings: Settings) -> float:
+def _scaled_size(values: FloatArray, state: FloatArray, settings: AdaptiveSettings) -> float:
     """Largest of some values in units of the tolerated error."""
     worst = 0.0
     for i in range(state.size):
@@ -153,22 +214,21 @@ def _scaled_size(values: FloatArray, state: FloatArray, settings: Settings) -> f
     return worst
 
 
-@compiled
-def first_length(time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
-    """Length of the adaptive method's first step after a switch or an event [s].
+def _first_length(mode: int, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
+    """Length of the first step after a switch or an event, from the rate there as the first stage [s].
 
     A short Euler step tells how fast the rate changes: in a time tau the rate, d in units of the tolerated error,
     becomes another. A method of fifth order then errs by about d tau (h / tau)^5 / 100 units, which is to be a small
     part of one.
     """
-    period = run.schedule.times[-1]
+    period = run.period
     rate = _scaled_size(space.stages[0], space.state, run.settings)
     if rate == 0.0:
         return 1e-3 * period
     small = min(0.01 * _scaled_size(space.state, space.state, run.settings) / rate, 1e-4 * period)
     for i in range(space.state.size):
         space.new[i] = space.state[i] + small * space.stages[0, i]
-    write_areas(time + small, piece, run.schedule, space.areas)
+    write_areas(run.progress.time + small, piece, space.areas)
     if small == 0.0 or not state_rate(space.new, space.areas, mode, run.machine, space.rate):
         return 1e-6 * period
     for i in range(space.state.size):
@@ -178,18 +238,18 @@ def first_length(time: float, piece: int, mode: int, run: Run, space: Workspace)
     return min(0.5 * tau * (100.0 / (rate * tau)) ** 0.2, period)
 
 
-@inlined
-def start_rate(time: float, piece: int, mode: int, run: Run, space: Workspace) -> bool:
+def _fixed_length(mode: int, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
+    """Length of the fixed-step method's steps in a piece, a whole number of which fill it [s]."""
+    length, longest = piece.end - piece.begin, run.settings.longest  # type: ignore[attr-defined]
+    return length / math.ceil(length / longest * (1.0 - 1e-12))
+
+
+first_length = by_field("settings.rtol", "run", _first_length, _fixed_length)
+"""Length of the first step in a piece, or after an event [s]."""
+
+
+@compiled
+def start_rate(mode: int, piece: PieceRecord, run: RunRecord, space: Workspace) -> bool:
     """Write the rate at the state as the first stage; False outside the equations' domain."""
-    write_areas(time, piece, run.schedule, space.areas)
-    inside = state_rate(space.state, space.areas, mode, run.machine, space.rate)
-    copy(space.rate, space.stages[0])
-    return inside
-
-
-@inlined
-def try_step(h: float, time: float, piece: int, mode: int, run: Run, space: Workspace) -> float:
-    """Try a step of the method that the settings name; return its scaled error, accepted up to one."""
-    if run.settings.fixed_step > 0.0:
-        return _fixed_step(h, time, piece, mode, run, space)
-    return _adaptive_step(h, time, piece, mode, run, space)
+    write_areas(run.progress.time, piece, space.areas)
+    return state_rate(space.state, space.areas, mode, run.machine, space.stages[0])

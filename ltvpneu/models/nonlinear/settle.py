@@ -1,4 +1,4 @@
-"""Simulation until the state repeats, after one or more valve periods, compiled."""
+"""Simulation of one valve period, or until the state repeats, after one or more, compiled."""
 
 import math
 from typing import NamedTuple
@@ -7,7 +7,8 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.nonlinear.integrator import OK, Outcome, integrate_period
+from ltvpneu.models.machine.piston import mode_of
+from ltvpneu.models.nonlinear.integrator import OK, Outcome, advance, new_log, new_workspace, record_of
 from ltvpneu.models.nonlinear.runge_kutta import Run, copy
 from ltvpneu.physics.friction import holding_force
 
@@ -64,32 +65,71 @@ def is_settled(k: int, done: int, changes: FloatArray, drift: float, tolerance: 
 
 
 @compiled
-def _extrapolated(history: FloatArray, changes: FloatArray, done: int, scales: FloatArray) -> FloatArray:
-    """Return where a slow, steady contraction is heading, or an empty array.
+def _leaps(history: FloatArray, changes: FloatArray, done: int, scales: FloatArray, state: FloatArray) -> bool:
+    """Set `state` to where a slow, steady contraction is heading, or say that there is none.
 
     Steady: the ratio q of successive changes has settled, so that what is left to go is q / (1 - q) times the last
     change (Aitken). The simulation goes on from there, so without dry friction a wrong guess costs time, not truth;
     with it the piston might be set past the place where it would have come to rest.
     """
     ring, n = history.shape
-    ratios = np.empty(3)
-    for back in range(3):
-        ratios[back] = changes[(done - back) % ring, 1] / changes[(done - back - 1) % ring, 1]
-    q = ratios[0]
-    steady = max(abs(ratios[1] - q), abs(ratios[2] - q)) < 0.05 * (1.0 - q)
-    if not (steady and 0.8 < q < 1.0):
-        return np.empty(0)
-    now, before = history[done % ring], history[(done - 1) % ring]
-    guess = np.empty(n)
+    q = changes[done % ring, 1] / changes[(done - 1) % ring, 1]
+    if not 0.8 < q < 1.0:
+        return False
+    for back in range(1, 3):
+        ratio = changes[(done - back) % ring, 1] / changes[(done - back - 1) % ring, 1]
+        if not abs(ratio - q) < 0.05 * (1.0 - q):
+            return False
+    now, before, ahead = done % ring, (done - 1) % ring, q / (1.0 - q)
     for i in range(n):
-        guess[i] = now[i] + (now[i] - before[i]) * q / (1.0 - q)
+        move = (history[now, i] - history[before, i]) * ahead
         # A leap beyond the size of the machine is no guess, nor one to a pressure below zero.
-        if abs(guess[i] - now[i]) > scales[i] or (i >= 2 and guess[i] <= 0.1 * now[i]):
-            return np.empty(0)
-    return guess
+        if abs(move) > scales[i] or (i >= 2 and history[now, i] + move <= 0.1 * history[now, i]):
+            return False
+    for i in range(n):
+        state[i] = history[now, i] + (history[now, i] - history[before, i]) * ahead
+    return True
 
 
 @compiled
+def _settle(
+    start: FloatArray, run: Run, scales: FloatArray, tolerance: float, max_periods: int
+) -> tuple[int, int, float, FloatArray, FloatArray]:
+    """As `settle`; returns its numbers, the state reached and the log of the last period."""
+    record, pieces = run.records[0], run.pieces
+    progress, machine = record.progress, record.machine
+    n, ring = start.size, MAX_SUBHARMONIC + 1
+    history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
+    space, log = new_workspace(start, machine.n_paths), new_log(n)
+    state, sticks = space.state, holding_force(machine.load.dry_friction, machine.load.stiction) > 0.0
+    # Counted from the start, or from where the state was last set ahead.
+    done, simulated, best = 0, 0, math.inf
+    copy(start, history[0])
+    while simulated < max_periods:
+        progress.status, progress.time, progress.steps, progress.n_logged = OK, 0.0, 0, 0
+        for number in range(pieces.size):
+            end, progress.kind = pieces[number].end, 0
+            while progress.kind >= 0 and progress.status == OK:
+                log = advance(end, mode_of(state, machine), number, pieces[number], record, space, log)
+        done, simulated = done + 1, simulated + 1
+        if progress.status != OK:
+            break
+        copy(state, history[done % ring])
+        best = math.inf
+        drift = largest_change(state, history[(done - 16) % ring], scales) if done >= 16 else math.inf
+        for k in range(1, min(MAX_SUBHARMONIC, done) + 1):
+            change = largest_change(state, history[(done - k) % ring], scales)
+            changes[done % ring, k] = change
+            best = min(best, change)
+            if is_settled(k, done, changes, drift, tolerance):
+                return k, simulated, change, state, log
+        if done >= 24 and not sticks and simulated < max_periods and _leaps(history, changes, done, scales, state):
+            done = 0
+            changes.fill(np.inf)
+            copy(state, history[0])
+    return 0, simulated, best, state, log
+
+
 def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, max_periods: int) -> Settled:
     """Simulate valve periods until the state repeats, after one or more of them.
 
@@ -103,32 +143,17 @@ def settle(start: FloatArray, run: Run, scales: FloatArray, tolerance: float, ma
         With `n_periods` zero if the state never repeated, `residual` then being the smallest change over any k, or if
         the last period could not be integrated.
     """
-    n, ring = start.size, MAX_SUBHARMONIC + 1
-    history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
-    copy(start, history[0])
-    # Counted from the start, or from where the state was last set ahead.
-    done, simulated, best = 1, 1, math.inf
-    sticks = holding_force(run.machine.load.dry_friction, run.machine.load.stiction) > 0.0
-    outcome = integrate_period(start, run, True)
-    while outcome.status == OK:
-        copy(outcome.state, history[done % ring])
-        best = math.inf
-        drift = largest_change(outcome.state, history[(done - 16) % ring], scales) if done >= 16 else math.inf
-        for k in range(1, min(MAX_SUBHARMONIC, done) + 1):
-            change = largest_change(outcome.state, history[(done - k) % ring], scales)
-            changes[done % ring, k] = change
-            best = min(best, change)
-            if is_settled(k, done, changes, drift, tolerance):
-                return Settled(k, simulated, change, outcome)
-        if simulated >= max_periods:
-            break
-        ahead = _extrapolated(history, changes, done, scales) if done >= 24 and not sticks else np.empty(0)
-        state = outcome.state
-        if ahead.size > 0:
-            state, done = ahead, 0
-            changes.fill(np.inf)
-            copy(state, history[0])
-        outcome = integrate_period(state, run, True)
-        done += 1
-        simulated += 1
-    return Settled(0, simulated, best, outcome)
+    # The kernel notes its progress in the record: a run that others use too is left as it is.
+    own = Run(run.records.copy(), run.pieces)
+    n_periods, n_simulated, residual, state, log = _settle(
+        np.array(start), own, np.array(scales), float(tolerance), max_periods
+    )
+    reached = own.records["progress"][0]
+    rows = log[: int(reached["n_logged"])]
+    last = Outcome(int(reached["status"]), float(reached["time"]), state, record_of(rows))
+    return Settled(n_periods, n_simulated, residual, last)
+
+
+def integrate_period(start: FloatArray, run: Run) -> Outcome:
+    """Integrate over one valve period from `start`, shape (n_states,)."""
+    return settle(start, run, np.ones(start.size), 0.0, 1).last

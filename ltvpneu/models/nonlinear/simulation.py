@@ -15,22 +15,21 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import FloatArray, finite_array, positive, read_only, whole
 from ltvpneu._values import Value
 from ltvpneu.errors import NotSettledError
-from ltvpneu.models.machine.dynamics import STUCK, chamber_volume, gas_in_volume
+from ltvpneu.models.machine.dynamics import STUCK, chamber_volume, gas_in_volume, is_in_range
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.nonlinear.integrator import OK, Outcome, Record, integrate_period
+from ltvpneu.models.machine.openings import pieces_of
+from ltvpneu.models.nonlinear.integrator import OK, Outcome, Record
 from ltvpneu.models.nonlinear.polynomial import PolynomialTrajectory
 from ltvpneu.models.nonlinear.rest import AT_EDGE, is_at_edge_of_band, rests_in_a_band, what_holds
-from ltvpneu.models.nonlinear.runge_kutta import Run, Settings
-from ltvpneu.models.nonlinear.settle import settle
+from ltvpneu.models.nonlinear.runge_kutta import AdaptiveSettings, FixedSettings, Run, Settings, new_run
+from ltvpneu.models.nonlinear.settle import integrate_period, settle
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.physics.medium import in_range
 from ltvpneu.physics.valve import check_duty
 
 if TYPE_CHECKING:
     import control
-from ltvpneu.models.machine.openings import schedule_of
 
 
 @final
@@ -132,7 +131,8 @@ def nonlinear_orbit(
     period = 1 / positive("frequency", frequency, "Hz")
     settings = _settings(machine, period, method)
     start = _initial_state(machine, initial_state)
-    run, scales = Run(schedule_of(machine.openings, period), machine.arrays, settings), machine.state_scales
+    run = new_run(machine.record, settings, pieces_of(machine.openings, period))
+    scales = machine.state_scales
     max_periods, n_simulated = whole("max_periods", max_periods), 0
     while True:
         found = settle(start, run, scales, positive("tolerance", tolerance), max_periods - n_simulated)
@@ -167,7 +167,7 @@ def _go_round(state: FloatArray, run: Run, n_periods: int) -> tuple[list[Record]
     """Return what the next valve periods are, and the state after them."""
     records: list[Record] = []
     for _ in range(n_periods):
-        outcome = integrate_period(state, run, True)
+        outcome = integrate_period(state, run)
         state = outcome.state
         records.append(outcome.record)
     return records, state
@@ -247,11 +247,11 @@ def simulate(  # noqa: PLR0913 - one call for one transient
     even = np.linspace(0.0, period, whole("points_per_period", points_per_period) + 1)
     times, states = [], []
     for number, present in enumerate(machines):
-        schedule = schedule_of(present.openings, period)
-        outcome = integrate_period(state, Run(schedule, present.arrays, settings), True)
+        pieces = pieces_of(present.openings, period)
+        outcome = integrate_period(state, new_run(present.record, settings, pieces))
         if outcome.status != OK:
             raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
-        local = np.union1d(even, schedule.times)[:-1]
+        local = np.union1d(even, pieces["begin"])[:-1]
         times.append(number * period + local)
         states.append(trajectory_of(outcome.record).at(local).T)
         state = outcome.state
@@ -262,19 +262,18 @@ def simulate(  # noqa: PLR0913 - one call for one transient
 
 
 def _settings(machine: Machine, period: float, method: Method) -> Settings:
-    scales = machine.state_scales
     if isinstance(method, RungeKutta4):
-        return Settings(1.0, scales, period / method.steps_per_period, MAX_STEPS)
+        return FixedSettings(period / method.steps_per_period, MAX_STEPS)
     return integration_settings(machine, method.rtol)
 
 
-def integration_settings(machine: Machine, rtol: float) -> Settings:
+def integration_settings(machine: Machine, rtol: float) -> AdaptiveSettings:
     """Return the adaptive method's settings for a relative tolerance."""
     scales = machine.state_scales
     atol = rtol * scales
     pressures = slice(2, 2 + machine.n_volumes)
     atol[pressures] = max(rtol, min(LEAST_PRESSURE_TOLERANCE, TIGHTER * rtol)) * scales[pressures]
-    return Settings(float(rtol), atol, 0.0, MAX_STEPS)
+    return AdaptiveSettings(float(rtol), MAX_STEPS, atol)
 
 
 def _initial_state(machine: Machine, initial_state: ArrayLike | None) -> FloatArray:
@@ -293,14 +292,14 @@ def check_state(machine: Machine, state: FloatArray, name: str) -> None:
             f"{name}: found position {state[0]:g} m, expected it between the end stops "
             f"({cylinder.lower_stop:g} to {cylinder.upper_stop:g} m)"
         )
-    count, arrays = machine.n_volumes, machine.arrays
+    count, record = machine.n_volumes, machine.record
     for i, label in enumerate(machine.states[2:]):
         positive(f"{name}: {label}", state[2 + i], "Pa" if i < count else "K")
     for k, chamber in enumerate(machine.volumes):
-        volume = chamber_volume(k, float(state[0]), arrays)
+        volume = chamber_volume(k, float(state[0]), record)
         positive(f"{name}: volume of {chamber} at position {state[0]:g} m", volume, "m^3")
-        here = gas_in_volume(k, state, arrays)
-        if not in_range(here.pressure, here.temperature, arrays.medium):
+        here = gas_in_volume(k, state, record)
+        if not is_in_range(here, record):
             raise ValueError(
                 f"{name}: found {chamber} at {here.pressure:g} Pa and {here.temperature:g} K, expected it where "
                 f"the laws of the medium hold: {machine.gas.limits}"

@@ -85,7 +85,7 @@ def stiction_band(machine: Machine, frequency: float) -> StictionBand:
         start[0] = position
         orbit = nonlinear_orbit(held, frequency, start)
         times = np.union1d(np.linspace(0.0, orbit.period, SAMPLES), orbit.step_times)
-        found = [external_force(state, machine.arrays) for state in orbit.at(times).T.copy()]
+        found = [external_force(state, machine.record) for state in orbit.at(times).T.copy()]
         return min(found), max(found)
 
     low, high = _bracket(machine)

@@ -4,7 +4,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.errors import CavitationError, ChamberVolumeError, GasRangeError, IntegrationError
-from ltvpneu.models.machine.dynamics import chamber_volume, gas_in_volume
+from ltvpneu.models.machine.dynamics import gas_in_volume
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.integrator import LEFT_DOMAIN, STEP_TOO_SMALL, TOO_MANY_STEPS
 from ltvpneu.physics.liquid import Liquid
@@ -19,9 +19,8 @@ AT_EDGE = 1e-6
 def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray) -> None:
     """Raise the error that says why an integration stopped, and where."""
     where = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, state, strict=True))
-    chambers, arrays = machine.volumes, machine.arrays
-    volumes = np.array([chamber_volume(k, float(state[0]), arrays) for k in range(len(chambers))])
-    shares = volumes / machine.arrays.chambers[:, 0]
+    chambers = machine.volumes
+    shares = np.array([1 + volume.slope * float(state[0]) / volume.size for volume in machine.volume_fields])
     # Near a vanishing volume the pressure's rate grows without bound, so the step size may give out first.
     if shares.min() < 1e-3:
         chamber = chambers[int(np.argmin(shares))]
@@ -43,7 +42,7 @@ def raise_stopped(machine: Machine, status: int, time: float, state: FloatArray)
                 state=state,
             )
     if isinstance(machine.gas, RealGas):
-        insides = [gas_in_volume(k, state, arrays) for k in range(machine.n_volumes)]
+        insides = [gas_in_volume(k, state, machine.record) for k in range(machine.n_volumes)]
         rooms = [machine.gas.room(here) for here in insides]
         nearest = int(np.argmin(rooms))
         here = insides[nearest]

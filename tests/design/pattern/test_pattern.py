@@ -74,7 +74,7 @@ def test_air_use_is_that_of_the_linear_flow(machine):
     from ltvpneu.models.machine.supply_flow import supply_flow_tangents
     from ltvpneu.periodic.exponential import ExponentialTrajectory
 
-    rows, inputs, offsets = supply_flow_tangents(point, areas, 1e-3, machine.arrays)
+    rows, inputs, offsets = supply_flow_tangents(point, areas, 1e-3, machine.record)
     cycle = ExponentialTrajectory(system=found.system, step_states=lp.steady_state(found.system).step_states)
     chosen = found.pattern.astype(int)
     flows = np.sum(rows[chosen] * cycle.step_state_means(), axis=1) + inputs[chosen] @ machine.levels + offsets[chosen]

@@ -198,7 +198,7 @@ def test_quasi_static_pressures_balance_the_mass_flows_erratum_e10(table_1):
     turn = quasi_static_turn(table_1, 2)
     for state, areas in zip(turn.quasi_static, turn.stairs.areas, strict=True):
         rate = np.empty(3)
-        state_rate(state, areas, 0, table_1.without_dry_friction().arrays, rate)
+        state_rate(state, areas, 0, table_1.without_dry_friction().record, rate)
         assert abs(rate[2]) < 1e-3
         assert abs(rate[1]) < 1e-9
     np.testing.assert_allclose(turn.mean, turn.quasi_static.mean(axis=0))

@@ -18,7 +18,7 @@ CRITICAL = lp.Gas().critical_pressure_ratio
 def rate(machine: lp.Machine, state: np.ndarray, areas: np.ndarray) -> np.ndarray:
     """The nonlinear right-hand side, dry friction of the sign of the velocity included."""
     found = np.empty(state.size)
-    assert state_rate(state, areas, int(np.sign(state[1])), machine.arrays, found)
+    assert state_rate(state, areas, int(np.sign(state[1])), machine.record, found)
     return found
 
 

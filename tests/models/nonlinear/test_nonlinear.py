@@ -100,7 +100,7 @@ def test_mass_closes_over_the_period(table_1):
                 np.ascontiguousarray(state),
                 areas_at(machine, 2 * np.pi * time * 6.0),
                 0,
-                machine.arrays,
+                machine.record,
                 rate,
             )
             volume = machine.cylinder.dead_volume_1 + machine.cylinder.piston_area_1 * state[0]
@@ -118,7 +118,7 @@ def test_a_piston_locked_by_stiction_is_reported_as_one_of_a_band(table_1):
     assert orbit.amplitude("position") == 0
     assert set(orbit.step_labels) == {"stuck"}
     times = np.linspace(0, orbit.period, 2001)[:-1]
-    forces = [external_force(np.ascontiguousarray(z), machine.arrays) for z in orbit.at(times).T]
+    forces = [external_force(np.ascontiguousarray(z), machine.record) for z in orbit.at(times).T]
     assert np.ptp(forces) == pytest.approx(49, abs=0.5)
     elsewhere = orbit.initial_state + np.array([5e-4, 0.0, 0.0])
     other = lp.nonlinear_orbit(machine, 20.0, initial_state=elsewhere)
