@@ -1,5 +1,6 @@
 """The one place that checks numbers and arrays: shapes, finiteness, signs, and that nobody writes into a value."""
 
+import inspect
 import math
 from collections.abc import Sequence
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
@@ -116,7 +117,7 @@ def layout(record: type) -> np.dtype[Any]:
     fields: list[Any] = []
     hints = get_type_hints(record, include_extras=True)
     # A derived class's own fields first: numba takes a record that begins like another for that other.
-    for name in dict.fromkeys(name for base in record.__mro__ for name in base.__dict__.get("__annotations__", {})):
+    for name in dict.fromkeys(name for base in record.__mro__ for name in inspect.get_annotations(base)):
         hint = hints[name]
         if get_origin(hint) is Annotated:
             base, *shape = get_args(hint)

@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numba
 from numba.core import types
@@ -19,7 +19,15 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     The interpreter lock is released inside, so that sweeps may run in threads.
     """
     # error_model="numpy": a division by zero gives inf, as on paper, where an infinite slope is an answer.
-    return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    kernel: Any = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    resolve = kernel.get_call_template
+
+    def resolve_plainly(args: tuple[types.Type, ...], kws: dict[str, types.Type]) -> Any:
+        """Take a literal argument, which numba would compile a kernel of its own for, as a number like any other."""
+        return resolve(tuple(map(types.unliteral, args)), {name: types.unliteral(kind) for name, kind in kws.items()})
+
+    kernel.get_call_template = resolve_plainly
+    return kernel
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:

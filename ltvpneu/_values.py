@@ -77,6 +77,9 @@ def _fingerprint(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         # Adding zero makes minus zero the zero that it is equal to.
         array = cast(Any, value)
+        if array.dtype.names:
+            # Between the fields of a record there may be room, which nothing is ever written to.
+            return array.shape, tuple(_fingerprint(array[name]) for name in array.dtype.names)
         return array.shape, (array + 0 if array.dtype.kind in "fc" else array).tobytes()
     if isinstance(value, tuple | list):
         return tuple(_fingerprint(item) for item in cast(list[Any], value))

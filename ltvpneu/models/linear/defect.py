@@ -17,10 +17,9 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
 from ltvpneu.models.machine.chord import DECAY_AT_REST, Tangent, augmented, tangent_at
 from ltvpneu.models.machine.dynamics import STUCK
-from ltvpneu.models.machine.piston import BREAKS_AWAY, LOWER_STOP, REVERSES, UPPER_STOP, after_event, margin_at, mode_of
+from ltvpneu.models.machine.piston import after_event, is_possible, margin_at, mode_of
 from ltvpneu.models.machine.records import N_INPUTS, MachineRecord
 from ltvpneu.periodic.small import apply, exponential
-from ltvpneu.physics.friction import holding_force
 
 PARTS_PER_SWING, MOST_PARTS = 2.0, 256
 """Parts of a step per radian of the piston's own oscillation that are searched for events, and how many at most."""
@@ -76,13 +75,7 @@ def _first_event(  # noqa: PLR0913 - compiled, and called from one place
         exponential(matrix, duration / parts, share, mean)
     first, found = duration, -1
     for kind in range(4):
-        if (kind == BREAKS_AWAY) != (mode == STUCK):
-            continue
-        if kind == REVERSES and holding_force(machine.load.dry_friction, machine.load.stiction) <= 0.0:
-            continue
-        if kind == LOWER_STOP and math.isinf(machine.load.lower_stop):
-            continue
-        if kind == UPPER_STOP and math.isinf(machine.load.upper_stop):
+        if not is_possible(kind, mode, machine):
             continue
         low, state, crossed = 0.0, start.copy(), False
         for part in range(parts):

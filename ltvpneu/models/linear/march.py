@@ -309,7 +309,7 @@ def _newton_step(  # noqa: PLR0913 - compiled, and called from one place
 
 
 @compiled
-def _visit(piece: int, end: float, mode: int, plan: Plan, space: Workspace, log: FloatArray) -> tuple[int, FloatArray]:
+def _visit(piece: int, end: float, plan: Plan, space: Workspace, log: FloatArray) -> tuple[int, FloatArray]:
     """Integrate on from the present time, in a piece, to a later time or to an event; log what is visited.
 
     Returns the piece reached, and the log.
@@ -318,7 +318,7 @@ def _visit(piece: int, end: float, mode: int, plan: Plan, space: Workspace, log:
     run.progress.status, run.progress.steps, run.progress.n_logged = OK, 0, 0
     while True:
         until = min(end, plan.pieces[piece].end)
-        log = advance(until, mode, piece, plan.pieces[piece], run, space, log)
+        log = advance(until, plan.pieces[piece], run, space, log)
         if run.progress.status != OK or run.progress.kind >= 0 or until >= end:
             return piece, log
         run.progress.steps = 0
@@ -388,9 +388,9 @@ def _take_step(here: _Here, end: float, plan: Plan, steps: Steps, space: Workspa
     taken = _Taken(NOT_CONVERGED, here.time, -1, here.state, here.piece, math.inf, True)
     for _ in range(MAX_HALVINGS):
         _physical(here.state, scales, space.state)
-        progress.time = here.time
+        progress.time, progress.mode = here.time, here.mode
         until = here.time + longest if longest < end - here.time else end
-        piece, log = _visit(here.piece, until, here.mode, plan, space, log)
+        piece, log = _visit(here.piece, until, plan, space, log)
         stop, kind = progress.time, progress.kind
         if progress.status != OK:
             reached = here.state.copy()

@@ -46,10 +46,10 @@ MANY_PERIODS, FLUTTER = 200, 1e-2
 
 @compiled
 def _rests(marched: Marched, steps: Steps) -> bool:
+    rests = False
     for row in range(marched.n_steps):
-        if steps.modes[row] == STUCK:
-            return True
-    return False
+        rests = rests or steps.modes[row] == STUCK
+    return rests
 
 
 @compiled
@@ -174,9 +174,9 @@ def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, 
     # Where the march goes on from if leaps are taken back.
     origin = start.copy()
     done, marched, best, leaps, size = 0, 0, math.inf, 0, math.inf
-    outcome = march_period(begin, plan, steps)
-    done, marched = done + 1, marched + 1
     while True:
+        outcome = march_period(begin, plan, steps)
+        done, marched = done + 1, marched + 1
         leapt, taken_back = False, leaps > 0 and (outcome.status != OK or _rests(outcome, steps))
         if not taken_back:
             if outcome.status != OK:
@@ -209,6 +209,5 @@ def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, 
             done = 0
             changes.fill(np.inf)
             history[0] = following[:n]
-        begin, done, marched = following, done + 1, marched + 1
-        outcome = march_period(begin, plan, steps)
+        begin = following
     return Repeated(0, marched, best, begin, outcome)

@@ -71,6 +71,19 @@ def hold_left(state: FloatArray, machine: MachineRecord) -> float:
 
 
 @compiled
+def is_possible(kind: int, mode: int, machine: MachineRecord) -> bool:
+    """Whether an event of a kind can happen in a mode of motion at all."""
+    if mode == STUCK or kind == BREAKS_AWAY:
+        return mode == STUCK and kind == BREAKS_AWAY
+    if kind == LOWER_STOP:
+        return machine.load.lower_stop > -math.inf
+    if kind == UPPER_STOP:
+        return machine.load.upper_stop < math.inf
+    # Without dry friction nothing holds the piston where its velocity reverses.
+    return holding_force(machine.load.dry_friction, machine.load.stiction) > 0.0
+
+
+@compiled
 def margin_at(state: FloatArray, kind: int, mode: int, machine: MachineRecord) -> float:
     """Return what an event of a kind waits for to fall below zero, at a state."""
     if kind == REVERSES:

@@ -7,12 +7,10 @@ import math
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.machine.dynamics import STUCK
-from ltvpneu.models.machine.piston import BREAKS_AWAY, LOWER_STOP, REVERSES, UPPER_STOP, margin_at
+from ltvpneu.models.machine.piston import LOWER_STOP, REVERSES, UPPER_STOP, is_possible, margin_at
 from ltvpneu.models.machine.quasi_static import only_source
 from ltvpneu.models.machine.records import MachineRecord, is_liquid, temperature_place
 from ltvpneu.models.nonlinear.runge_kutta import Workspace
-from ltvpneu.physics.friction import holding_force
 
 
 @compiled
@@ -82,19 +80,13 @@ def _stop_before(share: float, kind: int, coefficients: FloatArray, machine: Mac
 
 @compiled
 def _may_happen(kind: int, mode: int, coefficients: FloatArray, machine: MachineRecord) -> bool:
-    """Whether an event of a kind can happen in a step at all, by a quick look."""
-    if mode == STUCK or kind == BREAKS_AWAY:
-        return mode == STUCK and kind == BREAKS_AWAY
-    if kind == LOWER_STOP:
-        return machine.load.lower_stop > -math.inf
-    if kind == UPPER_STOP:
-        return machine.load.upper_stop < math.inf
-    if holding_force(machine.load.dry_friction, machine.load.stiction) == 0.0:
-        return False
-    for quarter in range(1, 5):
-        if mode * _value(coefficients, 1, 0.25 * quarter) < 0.0:
-            return True
-    return False
+    """Whether an event of a kind can happen in a step, by a quick look at the velocity for a reversal."""
+    happens = is_possible(kind, mode, machine)
+    if happens and kind == REVERSES:
+        happens = False
+        for quarter in range(1, 5):
+            happens = happens or mode * _value(coefficients, 1, 0.25 * quarter) < 0.0
+    return happens
 
 
 @compiled

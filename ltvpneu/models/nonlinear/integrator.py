@@ -64,7 +64,7 @@ def record_of(log: FloatArray) -> Record:
         spans=log[:, SPAN].copy(),
         modes=log[:, MODE].astype(np.int64),
         pieces=log[:, PIECE_NUMBER].astype(np.int64),
-        coefficients=log[:, POLYNOMIAL:].copy().reshape(len(log), 5, -1),
+        coefficients=log[:, POLYNOMIAL:].copy().reshape(len(log), 5, (log.shape[1] - POLYNOMIAL) // 5),
     )
 
 
@@ -75,41 +75,53 @@ def new_log(n_states: int) -> FloatArray:
 
 
 @compiled
-def _logged(
-    log: FloatArray, number: int, span: float, h: float, mode: int, run: RunRecord, space: Workspace
-) -> FloatArray:  # noqa: PLR0913 - one interval has as many parts
-    """Return the log with one more interval, the interpolant over a step of length h."""
-    count, n = run.progress.n_logged, space.state.size
+def _logged(share: float, h: float, run: RunRecord, space: Workspace, log: FloatArray) -> FloatArray:
+    """Return the log with one more interval: a share of a step of length h."""
+    progress, n = run.progress, space.state.size
+    count = progress.n_logged
     if count == log.shape[0]:
         longer = np.empty((2 * count, log.shape[1]))
         for row in range(count):
             for column in range(log.shape[1]):
                 longer[row, column] = log[row, column]
         log = longer
-    log[count, START], log[count, SPAN] = run.progress.time, span
-    log[count, MODE], log[count, PIECE_NUMBER] = mode, number
+    log[count, START], log[count, SPAN] = progress.time, share * h
+    log[count, MODE], log[count, PIECE_NUMBER] = progress.mode, progress.piece
     scale = 1.0
     for power in range(5):
         for i in range(n):
             log[count, POLYNOMIAL + power * n + i] = space.coefficients[power, i] * scale
         scale /= h
-    run.progress.n_logged = count + 1
+    progress.n_logged = count + 1
     return log
 
 
 @compiled
-def advance(  # noqa: PLR0913 - compiled, and called once per piece and event
-    end: float, mode: int, number: int, piece: PieceRecord, run: RunRecord, space: Workspace, log: FloatArray
-) -> FloatArray:
+def _step(length: float, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
+    """Count one more step, take it and return its scaled error; `space` is left with its interpolant."""
+    run.progress.steps += 1
+    for i in range(space.state.size):
+        space.coefficients[0, i] = space.state[i]
+    return try_step(length, piece, run, space)
+
+
+@compiled
+def _go_on(run: RunRecord, space: Workspace) -> bool:
+    """Set the state to the end of the step; return whether its rate has to be found anew."""
+    for i in range(space.state.size):
+        space.state[i] = space.new[i]
+        space.stages[0, i] = space.stages[6, i]
+    return run.progress.mode == STUCK and rest_at_source(run.machine, space)
+
+
+@compiled
+def advance(end: float, piece: PieceRecord, run: RunRecord, space: Workspace, log: FloatArray) -> FloatArray:
     """Integrate within one piece of the valve's cycle up to a time, or to an event of the piston, and land there.
 
     Parameters
     ----------
     end : float
         At most the end of the piece [s].
-    mode : int
-    number : int
-        Of the piece, for the log.
     piece : PieceRecord
     run : RunRecord
         Its `progress` says where to start from, and then where it got to.
@@ -122,50 +134,38 @@ def advance(  # noqa: PLR0913 - compiled, and called once per piece and event
     ndarray
         The log, or a longer one.
     """
-    progress, machine, period = run.progress, run.machine, run.period
-    adaptive = is_adaptive(run)
+    progress, machine, adaptive = run.progress, run.machine, is_adaptive(run)
     progress.kind = -1
     # A length of zero asks for a first step; only the rate at its start can tell how long.
     h, fresh = 0.0, True
-    while progress.time < end:
+    while progress.time < end and progress.kind < 0 and progress.status == OK:
         if progress.steps >= run.settings.max_steps:
             progress.status = TOO_MANY_STEPS
             break
-        progress.steps += 1
-        if fresh and not start_rate(mode, piece, run, space):
+        if fresh and not start_rate(piece, run, space):
             progress.status = LEFT_DOMAIN
             break
         if h == 0.0:
-            h = first_length(mode, piece, run, space)
-        fresh = False
-        for i in range(space.state.size):
-            space.coefficients[0, i] = space.state[i]
-        last = progress.time + 1.000001 * h >= end
+            h = first_length(piece, run, space)
+        last, fresh = progress.time + 1.000001 * h >= end, False
         if last:
             h = end - progress.time
-        error = try_step(h, mode, piece, run, space)
+        error = _step(h, piece, run, space)
         if error > 1.0:
             h *= max(0.2, 0.9 * error**-0.2)
-            if h < 1e-15 * period or not adaptive:
+            if h < 1e-15 * run.period or not adaptive:
                 progress.status = LEFT_DOMAIN if math.isinf(error) else STEP_TOO_SMALL
-                break
             continue
-        share, kind = first_event(mode, space.coefficients, machine, space.rate)
-        if not adaptive and kind >= 0:
-            share = 1.0
-        span = min(share, 1.0) * h
-        if span > 0.0:
-            log = _logged(log, number, span, h, mode, run, space)
-        progress.time = end if last and share >= 1.0 else progress.time + span
+        share, kind = first_event(progress.mode, space.coefficients, machine, space.rate)
+        share = min(share, 1.0) if adaptive else 1.0
+        if share * h > 0.0:
+            log = _logged(share, h, run, space, log)
+        progress.time = end if last and share == 1.0 else progress.time + share * h
+        progress.kind = kind
         if kind >= 0:
             land(kind, share, machine, space)
-            progress.kind = kind
-            break
-        for i in range(space.state.size):
-            space.state[i] = space.new[i]
-            space.stages[0, i] = space.stages[6, i]
-        if mode == STUCK:
-            fresh = rest_at_source(machine, space)
+            continue
+        fresh = _go_on(run, space)
         if adaptive:
             h *= min(5.0, 0.9 * max(error, 1e-10) ** -0.2)
     return log

@@ -46,9 +46,14 @@ class Progress:
     """How far an integration has got."""
 
     status: int
+    mode: int
+    """Of the piston."""
+    piece: int
+    """Number of the piece of the valve period."""
     time: float
     """[s]"""
     steps: int
+    """Taken in this period."""
     kind: int
     """Kind of the event that it stopped at; below zero where it reached the end."""
     n_logged: int
@@ -127,7 +132,7 @@ def copy(source: FloatArray, target: FloatArray) -> None:
         target[i] = source[i]
 
 
-def _adaptive_step(h: float, mode: int, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
+def _adaptive_step(h: float, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
     """Try one Dormand-Prince step and return its scaled error; infinite where a stage left the equations' domain.
 
     Writes the new state, its rate as the seventh stage and, if the error is at most one, the interpolant.
@@ -143,7 +148,7 @@ def _adaptive_step(h: float, mode: int, piece: PieceRecord, run: RunRecord, spac
             new[i] = state[i] + h * total
         if piece.ramped:
             write_areas(time + _NODES[stage] * h, piece, space.areas)
-        if not state_rate(new, space.areas, mode, run.machine, stages[stage]):
+        if not state_rate(new, space.areas, run.progress.mode, run.machine, stages[stage]):
             return math.inf
     worst = 0.0
     for i in range(n):
@@ -162,7 +167,7 @@ def _adaptive_step(h: float, mode: int, piece: PieceRecord, run: RunRecord, spac
     return worst
 
 
-def _fixed_step(h: float, mode: int, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
+def _fixed_step(h: float, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
     """Take one classical Runge-Kutta step of fourth order; return 0, or infinity as `_adaptive_step`.
 
     The interpolant is the cubic through both states and rates.
@@ -176,7 +181,7 @@ def _fixed_step(h: float, mode: int, piece: PieceRecord, run: RunRecord, space: 
                 slope = (stages[0, i] + 2.0 * stages[1, i] + 2.0 * stages[2, i] + stages[3, i]) / 6.0
             new[i] = state[i] + share * h * slope
         write_areas(run.progress.time + share * h, piece, space.areas)
-        if not state_rate(new, space.areas, mode, run.machine, stages[stage]):
+        if not state_rate(new, space.areas, run.progress.mode, run.machine, stages[stage]):
             return math.inf
     # Where the next step looks for the rate of its start.
     copy(stages[4], stages[6])
@@ -214,7 +219,7 @@ def _scaled_size(values: FloatArray, state: FloatArray, settings: AdaptiveSettin
     return worst
 
 
-def _first_length(mode: int, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
+def _first_length(piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
     """Length of the first step after a switch or an event, from the rate there as the first stage [s].
 
     A short Euler step tells how fast the rate changes: in a time tau the rate, d in units of the tolerated error,
@@ -229,7 +234,7 @@ def _first_length(mode: int, piece: PieceRecord, run: RunRecord, space: Workspac
     for i in range(space.state.size):
         space.new[i] = space.state[i] + small * space.stages[0, i]
     write_areas(run.progress.time + small, piece, space.areas)
-    if small == 0.0 or not state_rate(space.new, space.areas, mode, run.machine, space.rate):
+    if small == 0.0 or not state_rate(space.new, space.areas, run.progress.mode, run.machine, space.rate):
         return 1e-6 * period
     for i in range(space.state.size):
         space.new[i] = (space.rate[i] - space.stages[0, i]) / small
@@ -238,7 +243,7 @@ def _first_length(mode: int, piece: PieceRecord, run: RunRecord, space: Workspac
     return min(0.5 * tau * (100.0 / (rate * tau)) ** 0.2, period)
 
 
-def _fixed_length(mode: int, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
+def _fixed_length(piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
     """Length of the fixed-step method's steps in a piece, a whole number of which fill it [s]."""
     length, longest = piece.end - piece.begin, run.settings.longest  # type: ignore[attr-defined]
     return length / math.ceil(length / longest * (1.0 - 1e-12))
@@ -249,7 +254,7 @@ first_length = by_field("settings.rtol", "run", _first_length, _fixed_length)
 
 
 @compiled
-def start_rate(mode: int, piece: PieceRecord, run: RunRecord, space: Workspace) -> bool:
+def start_rate(piece: PieceRecord, run: RunRecord, space: Workspace) -> bool:
     """Write the rate at the state as the first stage; False outside the equations' domain."""
     write_areas(run.progress.time, piece, space.areas)
-    return state_rate(space.state, space.areas, mode, run.machine, space.stages[0])
+    return state_rate(space.state, space.areas, run.progress.mode, run.machine, space.stages[0])

@@ -108,9 +108,10 @@ def _settle(
     while simulated < max_periods:
         progress.status, progress.time, progress.steps, progress.n_logged = OK, 0.0, 0, 0
         for number in range(pieces.size):
-            end, progress.kind = pieces[number].end, 0
+            progress.piece, progress.kind = number, 0
             while progress.kind >= 0 and progress.status == OK:
-                log = advance(end, mode_of(state, machine), number, pieces[number], record, space, log)
+                progress.mode = mode_of(state, machine)
+                log = advance(pieces[number].end, pieces[number], record, space, log)
         done, simulated = done + 1, simulated + 1
         if progress.status != OK:
             break
