@@ -13,7 +13,7 @@ from numpy.polynomial.chebyshev import cheb2poly
 from scipy.fft import dctn
 
 from ltvpneu._arrays import FloatArray, read_only
-from ltvpneu._compiled import compiled, inlined
+from ltvpneu._compiled import compiled
 from ltvpneu.errors import GasRangeError
 from ltvpneu.physics.equation_of_state import EquationOfState, Range
 from ltvpneu.physics.properties import Properties
@@ -29,14 +29,14 @@ NODES = ((24, 14), (48, 20), (96, 26))
 PHI_NODES = 12
 
 
-@inlined
+@compiled
 def _place(pressure: float, temperature: float, table: FloatArray) -> tuple[float, float]:
     """Return p and ln T, scaled to [-1, 1]."""
     x = (pressure - table[P_MIDDLE]) * table[P_SCALE]
     return x, (math.log(temperature) - table[T_MIDDLE]) * table[T_SCALE]
 
 
-@inlined
+@compiled
 def _plane(table: FloatArray, start: int, x: float, y: float) -> tuple[float, float, float, float, float, float, int]:
     """Return f, f_x, f_y, f_xx, f_xy, f_yy of a series, and where it ends; what a caller drops costs it nothing."""
     n_rows, length, at = int(table[start]), int(table[start + 1]), start + 1
@@ -63,7 +63,7 @@ def _plane(table: FloatArray, start: int, x: float, y: float) -> tuple[float, fl
     return f, f_x, f_y, f_xx, f_xy, f_yy, at + 1
 
 
-@inlined
+@compiled
 def _unchoked(table: FloatArray, x: float, y: float, phi: float) -> tuple[float, float, float, float]:
     """Return w, w_x, w_y, w_phi: a series over pressure and temperature for each Chebyshev polynomial of phi."""
     start = int(table[UNCHOKED])

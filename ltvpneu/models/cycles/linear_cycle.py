@@ -64,7 +64,7 @@ class LinearCycle(Value):
         state, found = self.repeated.start, list[Steps]()
         for _ in range(self.n_turns):
             steps = new_steps(self.question, self.cells)
-            marched = march_period(state, self.plan, steps)
+            marched = march_period(state, self.plan.copy(), steps)
             found.append(steps.cut_to(marched.n_steps))
             state = marched.state
         return tuple(found)
@@ -212,7 +212,7 @@ class _Differences:
         self.K = probes.cells.size
 
     def _march(self, plan: Plan, starts: FloatArray, durations: FloatArray, chained: bool) -> Turn:
-        turn = march_cells(Cells(starts, chained, durations), plan, self.steps, self.probes, self.with_flow)
+        turn = march_cells(Cells(starts, chained, durations), plan.copy(), self.steps, self.probes, self.with_flow)
         if turn.status != OK:
             raise NotConvergedError(
                 "a march next to the cycle did not come through: there is no derivative here", residual=0, iterations=1

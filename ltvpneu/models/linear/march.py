@@ -68,6 +68,10 @@ class Plan(NamedTuple):
     scales: FloatArray
     """(n,)"""
 
+    def copy(self) -> "Plan":
+        """Return a plan with a record of its own: a march notes its progress there."""
+        return self._replace(records=self.records.copy())
+
 
 def new_plan(run: Run, first_pieces: IntArray, areas: FloatArray, scales: FloatArray, **how: float) -> Plan:
     """Return a plan; `how` holds the numbers of its record, by name."""

@@ -188,7 +188,7 @@ def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Fo
     periods = [steps.cut_to(repeated.last.n_steps)]
     state = repeated.last.state
     for _ in range(repeated.n_periods - 1):
-        marched = march_period(state, plan, steps)
+        marched = march_period(state, plan.copy(), steps)
         periods.append(steps.cut_to(marched.n_steps))
         state = marched.state
     return Found(

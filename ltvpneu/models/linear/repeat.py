@@ -17,13 +17,15 @@ from ltvpneu.models.linear.march import Marched, Plan, Steps, march_period
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.settle import MAX_SUBHARMONIC, ROUNDING, is_settled, largest_change
-from ltvpneu.periodic.small import exponential, multiply, solve
+from ltvpneu.periodic.small import exponential, multiply
 
 WAIT = 2
 """Periods marched before the cycle's start is solved for."""
 MAX_LEAPS = 40
 SAFE_RADIUS = 0.9
 """Spectral radius of the steps' maps up to which a cycle that was leapt to is taken to attract [-]."""
+FURTHEST = 2.0
+"""Longest leap, scaled [-]."""
 LEAST_PRESSURE = 0.1
 """Share of a pressure that a leap leaves at least [-]."""
 
@@ -44,93 +46,44 @@ MANY_PERIODS, FLUTTER = 200, 1e-2
 """Periods after which a change of that share of the tolerance, neither shrinking nor adding up, ends the search."""
 
 
-@compiled
 def _rests(marched: Marched, steps: Steps) -> bool:
-    rests = False
-    for row in range(marched.n_steps):
-        rests = rests or steps.modes[row] == STUCK
-    return rests
+    return bool((steps.modes[: marched.n_steps] == STUCK).any())
 
 
 @compiled
-def _product(k: int, marched: Marched, steps: Steps) -> FloatArray:
-    """Return the product of the steps' own maps, (k, k)."""
+def _product(matrices: FloatArray, durations: FloatArray) -> FloatArray:
+    """Return the product of the steps' own maps, (k, k), from shapes (n_steps, k, k) and (n_steps,)."""
+    k = matrices.shape[1]
     whole, mean, one, work = np.eye(k), np.empty((k, k)), np.empty((k, k)), np.empty((k, k))
-    for row in range(marched.n_steps):
-        exponential(steps.matrices[row], steps.durations[row], one, mean)
+    for row in range(durations.size):
+        exponential(matrices[row], durations[row], one, mean)
         multiply(one, whole, work)
         whole, work = work, whole
     return whole
 
 
-@compiled
-def _attracts(k: int, marched: Marched, steps: Steps) -> bool:
-    """Whether the spectral radius of the steps' maps, by 64 of their powers, is at most `SAFE_RADIUS`."""
-    n = k - 1
-    power, work = _product(k, marched, steps)[:n, :n].copy(), np.empty((n, n))
-    logarithm = 0.0
-    for _ in range(6):
-        multiply(power, power, work)
-        power, work = work, power
-        size = np.max(np.abs(power))
-        if size == 0.0:
-            return True
-        for i in range(n):
-            for j in range(n):
-                power[i, j] /= size
-        logarithm = 2.0 * logarithm + math.log(size)
-    return logarithm <= 64.0 * math.log(SAFE_RADIUS)
+def _map_over(marched: Marched, steps: Steps) -> FloatArray:
+    """Return how the end of a period follows its start, by the steps' own maps, (n, n)."""
+    return _product(steps.matrices[: marched.n_steps], steps.durations[: marched.n_steps])[:-1, :-1]
 
 
-@compiled
-def _inverse_of_steps(k: int, marched: Marched, steps: Steps, inverse: FloatArray) -> bool:
-    """Write the inverse of I - Phi, Phi the product of the steps' own maps; False where the piston rests."""
-    n = k - 1
-    if _rests(marched, steps):
-        return False
-    whole = _product(k, marched, steps)
-    matrix, column = np.empty((n, n)), np.empty(n)
-    for j in range(n):
-        for i in range(n):
-            column[i] = 1.0 if i == j else 0.0
-            for c in range(n):
-                matrix[i, c] = (1.0 if i == c else 0.0) - whole[i, c]
-        if not solve(matrix, column):
-            return False
-        for i in range(n):
-            inverse[i, j] = column[i]
-    return True
+def _attracts(map_: FloatArray) -> bool:
+    return bool(np.max(np.abs(np.linalg.eigvals(map_))) <= SAFE_RADIUS)
 
 
-@compiled
-def _learn(inverse: FloatArray, moved: FloatArray, less: FloatArray) -> None:
-    """Update the inverse so that it takes the change `less` of what is left to the move that made it (Broyden)."""
-    n = moved.size
-    left, right, scale = np.empty(n), np.empty(n), 0.0
-    for i in range(n):
-        left[i] = moved[i]
-        right[i] = 0.0
-        for j in range(n):
-            left[i] -= inverse[i, j] * less[j]
-            right[i] += moved[j] * inverse[j, i]
-    for i in range(n):
-        scale += right[i] * less[i]
-    if abs(scale) > 1e-300:
-        for i in range(n):
-            for j in range(n):
-                inverse[i, j] += left[i] * right[j] / scale
+def _inverse_of_steps(map_: FloatArray) -> FloatArray | None:
+    """Return the inverse of I - Phi, None where there is none."""
+    try:
+        return np.linalg.inv(np.eye(len(map_)) - map_)
+    except np.linalg.LinAlgError:
+        return None
 
 
-@compiled
-def _move(inverse: FloatArray, left: FloatArray, move: FloatArray) -> float:
-    """Write how far to move the start of the cycle, from what a period leaves to go; return the largest part."""
-    size = 0.0
-    for i in range(left.size):
-        move[i] = 0.0
-        for j in range(left.size):
-            move[i] += inverse[i, j] * left[j]
-        size = max(size, abs(move[i])) if math.isfinite(move[i]) else math.inf
-    return size
+def _learnt(inverse: FloatArray, moved: FloatArray, less: FloatArray) -> FloatArray:
+    """Return the inverse that takes the change `less` of what is left to the move that made it (Broyden)."""
+    right = moved @ inverse
+    scale = float(right @ less)
+    return inverse + np.outer(moved - inverse @ less, right) / scale if abs(scale) > 1e-300 else inverse
 
 
 @compiled
@@ -155,59 +108,86 @@ def _repeats_after(
     return 0, best
 
 
-@compiled
-def _may_leap(begin: FloatArray, move: FloatArray, size: float, tolerance: float) -> bool:
+def _may_leap(begin: FloatArray, move: FloatArray, tolerance: float) -> bool:
     """Whether a leap is no further than the machine is long, and none to next to no pressure."""
-    for i in range(2, move.size):
-        if not begin[i] + move[i] > LEAST_PRESSURE * begin[i]:
-            return False
-    return tolerance < size < 2.0
+    leaves_pressure = bool((begin[2:] + move[2:] > LEAST_PRESSURE * begin[2:]).all())
+    return leaves_pressure and tolerance < float(np.max(np.abs(move))) < FURTHEST
 
 
-@compiled
+class _Leaps:
+    """The search for the cycle's start among those of the periods marched: whether it goes on, and from where."""
+
+    def __init__(self, origin: FloatArray, tolerance: float) -> None:
+        self.origin, self.tolerance = origin, tolerance
+        """Where the march goes on from if leaps are taken back."""
+        self.count, self.size = 0, math.inf
+        """Leaps tried, below zero once they are given up, and the largest part of the last."""
+        self.inverse: FloatArray | None = None
+        self.move, self.left = np.zeros(0), np.zeros(0)
+
+    def take_back(self) -> FloatArray:
+        """Give up leaping; return where to go on from."""
+        self.count = -1
+        return self.origin.copy()
+
+    def next(self, begin: FloatArray, marched: Marched, steps: Steps) -> FloatArray | None:
+        """Return a leap to the cycle's start, none of which is longer than asked for where it is found.
+
+        None where the steps' maps say nothing.
+        """
+        n = begin.size - 1
+        left = marched.state[:n] - begin[:n]
+        if self.count > 0 and self.inverse is not None:
+            self.inverse = _learnt(self.inverse, self.move, self.left - left)
+        elif not _rests(marched, steps):
+            self.inverse = _inverse_of_steps(_map_over(marched, steps))
+        else:
+            self.inverse = None
+        if self.inverse is None:
+            return None
+        if self.count == 0:
+            self.origin = marched.state.copy()
+        self.left, self.move = left, self.inverse @ left
+        self.count += 1
+        return self.move
+
+
 def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, max_periods: int) -> Repeated:
     """March valve periods from a scaled augmented state until the state repeats, after one or more of them."""
-    n, ring = start.size - 1, MAX_SUBHARMONIC + 1
-    history, changes, inverse = np.empty((ring, n)), np.full((ring, ring), np.inf), np.empty((n, n))
-    begin, before, move, following = start.copy(), np.empty(n), np.zeros(n), start.copy()
+    n, ring, own = start.size - 1, MAX_SUBHARMONIC + 1, plan.copy()
+    history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
+    begin, leaps = start.copy(), _Leaps(start.copy(), tolerance)
     history[0] = begin[:n]
-    # Where the march goes on from if leaps are taken back.
-    origin = start.copy()
-    done, marched, best, leaps, size = 0, 0, math.inf, 0, math.inf
+    done, n_marched, best = 0, 0, math.inf
     while True:
-        outcome = march_period(begin, plan, steps)
-        done, marched = done + 1, marched + 1
-        leapt, taken_back = False, leaps > 0 and (outcome.status != OK or _rests(outcome, steps))
+        outcome = march_period(begin, own, steps)
+        done, n_marched = done + 1, n_marched + 1
+        leapt, taken_back = False, leaps.count > 0 and (outcome.status != OK or _rests(outcome, steps))
+        following = outcome.state.copy()
         if not taken_back:
             if outcome.status != OK:
-                break
-            now = outcome.state[:n]
+                return Repeated(0, n_marched, best, begin, outcome)
+            now = outcome.state[:n].copy()
             history[done % ring] = now
             period, best = _repeats_after(now, done, history, changes, tolerance)
-            if period > 0 and (leaps <= 0 or _attracts(n + 1, outcome, steps)):
-                return Repeated(period, marched, best, begin, outcome)
-            if marched >= max_periods:
-                break
-            following = outcome.state.copy()
-            if marched >= WAIT and leaps >= 0:
-                left = now - begin[:n]
-                if leaps > 0:
-                    _learn(inverse, move, before - left)
-                if leaps > 0 or _inverse_of_steps(n + 1, outcome, steps, inverse):
-                    origin = following.copy() if leaps == 0 else origin
-                    leaps += 1
-                    last, size = size, _move(inverse, left, move)
-                    if size <= tolerance and _attracts(n + 1, outcome, steps):
-                        return Repeated(1, marched, best, begin, outcome)
-                    # Nor many without getting nearer, nor to a cycle that does not attract.
-                    leapt = _may_leap(begin, move, size, tolerance) and leaps <= MAX_LEAPS
-                    taken_back = not leapt or (leaps > 3 and size > last)
-                    before, following[:n] = left, begin[:n] + move
+            if period > 0 and (leaps.count <= 0 or _attracts(_map_over(outcome, steps))):
+                return Repeated(period, n_marched, best, begin, outcome)
+            if n_marched >= max_periods:
+                return Repeated(0, n_marched, best, begin, outcome)
+            last = leaps.size
+            move = leaps.next(begin, outcome, steps) if n_marched >= WAIT and leaps.count >= 0 else None
+            if move is not None:
+                leaps.size = float(np.max(np.abs(move)))
+                if leaps.size <= tolerance and _attracts(_map_over(outcome, steps)):
+                    return Repeated(1, n_marched, best, begin, outcome)
+                # Nor many without getting nearer, nor to a cycle that does not attract.
+                leapt = _may_leap(begin[:n], move, tolerance) and leaps.count <= MAX_LEAPS
+                taken_back = not leapt or (leaps.count > 3 and leaps.size > last)
+                following[:n] = begin[:n] + move
         if taken_back:
-            leaps, following = -1, origin.copy()
+            following = leaps.take_back()
         if leapt or taken_back:
             done = 0
             changes.fill(np.inf)
             history[0] = following[:n]
         begin = following
-    return Repeated(0, marched, best, begin, outcome)

@@ -37,7 +37,7 @@ def staircase(machine: Machine, n_steps: int) -> Staircase:
     Examples
     --------
     >>> import ltvpneu as lp
-    >>> from ltvpneu.models.staircase import staircase
+    >>> from ltvpneu.models.linear.staircase import staircase
     >>> staircase(lp.load_machine("kunt_singh_1990").with_duty(0.25), 4).fractions.tolist()
     [0.0, 0.25, 0.5, 0.75, 1.0]
     """

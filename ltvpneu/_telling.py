@@ -1,0 +1,68 @@
+"""Says that something is being compiled, once that takes long enough for somebody to wonder."""
+
+import sys
+import threading
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import Any
+
+from numba.core.dispatcher import Dispatcher
+
+from ltvpneu._kernel_cache import counts, kernels_reached
+
+SILENT, BETWEEN = 1.0, 5.0
+"""Seconds that compiling may take unannounced, and between lines where they cannot be written over [s]."""
+
+
+class _Told:
+    """What has been said so far about the compiling that is under way."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.depth, self.begin, self.last, self.compiled = 0, 0.0, 0.0, 0
+        self.outermost: Any = None
+
+    def start(self, kernel: Any, signature: str) -> None:
+        self.depth += 1
+        if self.depth == 1:
+            self.outermost, self.compiled = (kernel.py_func, signature), counts.compiled
+            self.begin, self.last = time.monotonic(), 0.0
+
+    def stop(self) -> None:
+        self.depth -= 1
+        now, done = time.monotonic(), counts.compiled - self.compiled
+        elapsed, on_terminal = now - self.begin, sys.stderr.isatty()
+        if elapsed < SILENT or done == 0:
+            return
+        if self.depth == 0:
+            if self.last:
+                self._write(f"compiled the machine's equations: {done} parts in {elapsed:.0f} s", "\n")
+        elif now - self.last > (0.1 if on_terminal else BETWEEN):
+            self.last = now
+            left = sum(not other.signatures for other in kernels_reached(*self.outermost))
+            self._write(f"compiling the machine's equations, once: {done} of {done + left}, {elapsed:.0f} s", "")
+
+    @staticmethod
+    def _write(text: str, end: str) -> None:
+        if sys.stderr.isatty():
+            sys.stderr.write(f"\r{text:<79}{end}")
+        else:
+            sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
+
+
+_told = _Told()
+
+
+@contextmanager
+def telling(kernel: Dispatcher, signature: str) -> Generator[None]:
+    """Say how far compiling is while a kernel is compiled, and whatever it calls with it."""
+    # Not locked while numba compiles, which has a lock of its own.
+    with _told.lock:
+        _told.start(kernel, signature)
+    try:
+        yield
+    finally:
+        with _told.lock:
+            _told.stop()
