@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 import ltvpneu as lp
 from benchmarks.conftest import ratio
-from ltvpneu.models.linear.ltv import OperatingPoints
+from ltvpneu.models.linear.modes import OperatingPoints
 from ltvpneu.models.machine.dynamics import state_rate
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.machine.piston import mode_of

@@ -24,7 +24,9 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     The interpreter lock is released inside, so that sweeps may run in threads.
     """
     # error_model="numpy": a division by zero gives inf, as on paper, where an infinite slope is an answer.
-    kernel: Any = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+    # No wrapper for C: nobody calls a kernel from there, and each takes a tenth of the compiling.
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    kernel: Any = numba.njit(**options)(function)
     kernel._cache = KernelCache(kernel.py_func)
     resolve, make = kernel.get_call_template, kernel.compile
 

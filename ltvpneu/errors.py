@@ -1,12 +1,11 @@
 """Outcomes that a caller may catch by name.
 
 Wrong input raises `ValueError` or `TypeError`; the classes here are for questions that were well put and have no
-answer, or not the one asked for. Each carries its figures as attributes.
+answer, or not the one asked for. Each carries its figures as attributes. numpy loads where it is needed only, so that
+the command line can name an error before anything else is loaded.
 """
 
 from typing import Any
-
-from ltvpneu._values import packed, same, unpacked
 
 
 class LtvpneuError(Exception):
@@ -17,12 +16,16 @@ class LtvpneuError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return how to make the error anew: with its message and its figures, past its own constructor."""
+        from ltvpneu._values import packed
+
         return _rebuilt, (type(self), self.args, packed(vars(self)))
 
     def __eq__(self, other: object) -> bool:
         """Whether another error is of the same class and carries the same message and figures."""
         if not isinstance(other, LtvpneuError) or type(self) is not type(other):
             return NotImplemented
+        from ltvpneu._values import same
+
         return same(self.args, other.args) and same(vars(self), vars(other))
 
     def __hash__(self) -> int:
@@ -33,6 +36,8 @@ class LtvpneuError(Exception):
 def _rebuilt(kind: type[LtvpneuError], args: tuple[Any, ...], figures: dict[str, Any]) -> LtvpneuError:
     error = kind.__new__(kind, *args)
     error.args = args
+    from ltvpneu._values import unpacked
+
     vars(error).update(unpacked(figures))
     return error
 

@@ -20,8 +20,9 @@ from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_b
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycles.floquet import cycle_floquet
 from ltvpneu.models.cycles.orbit_map import MAP_SPREAD, grid_of
-from ltvpneu.models.linear.ltv import OperatingPoints, ltv_model
+from ltvpneu.models.linear.ltv import ltv_model
 from ltvpneu.models.linear.model import LtvModel
+from ltvpneu.models.linear.modes import OperatingPoints
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import attractors
 from ltvpneu.models.nonlinear.failed_point import FailedPoint

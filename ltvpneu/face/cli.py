@@ -1,39 +1,20 @@
 """The command line: `ltvpneu study`, `ltvpneu stability`, `ltvpneu optimize` and `ltvpneu sweep`."""
 
 import argparse
-import json
-import math
+import importlib
 import sys
 import warnings
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tqdm import tqdm
+from ltvpneu import __version__
+from ltvpneu.errors import LtvpneuError
+from ltvpneu.face.machine_text import bundled_machines, machine_text, parsed
+from ltvpneu.models.linear.modes import MODES
 
-from ltvpneu.errors import LtvpneuError, NotConvergedError
-from ltvpneu.face.machine_file import bundled_machines, load_machine
-from ltvpneu.face.optimize import optimum_text, parse_request, run_request, write_optimum
-from ltvpneu.face.report import LABELS, depends, multipliers_text, remarks, study_text, table
-from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
-from ltvpneu.face.study_data import study_data
-from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
-from ltvpneu.models.cycles.floquet import cycle_floquet
-from ltvpneu.models.cycles.orbit_map import MAP_SPREAD
-from ltvpneu.models.linear.ltv import MODES, OperatingPoints, ltv_model
-from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.nonlinear.attractors import attractors
-from ltvpneu.models.nonlinear.floquet import orbit_floquet
-from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
-from ltvpneu.physics.liquid import Liquid
-from ltvpneu.physics.proportional import ProportionalValve
-
-if TYPE_CHECKING:
-    from ltvpneu.face.study_design import DesignStudy
-
-STABLE, NOT_STABLE, BAD_INPUT = 0, 1, 2
-"""Exit codes."""
+BAD_INPUT = 2
+"""Exit code; 0 and 1 are those of the commands."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,7 +28,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with warnings.catch_warnings():
             warnings.simplefilter("default", UserWarning)
             warnings.showwarning = show
-            return options.run(options)
+            # What can be said at once is said before anything is loaded that takes time.
+            parsed(*machine_text(options.machine))
+            run: int = getattr(importlib.import_module("ltvpneu.face.commands"), options.command)(options)
+            return run
     except (LtvpneuError, ValueError, TypeError, OSError, ImportError) as error:
         print(f"ltvpneu {options.command}: error: {_located(str(error), options.machine)}", file=sys.stderr)
         return BAD_INPUT
@@ -64,7 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="ltvpneu", description="Control design for pneumatic actuators switched by on-off valves."
     )
-    parser.add_argument("--version", action="version", version=f"ltvpneu {version('ltvpneu')}")
+    parser.add_argument("--version", action="version", version=f"ltvpneu {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
     machine_help = f"a TOML file, or a bundled machine: {', '.join(bundled_machines())}"
 
@@ -83,7 +67,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     study.add_argument("--points", type=int, default=40, help="frequencies of the amplitude response (default: 40)")
     _add_design(study, "lti")
-    study.set_defaults(run=_study)
 
     stability = commands.add_parser(
         "stability",
@@ -94,7 +77,6 @@ def _parser() -> argparse.ArgumentParser:
         "--frequency", type=float, nargs="+", required=True, metavar="HZ", help="valve frequencies [Hz]"
     )
     _add_design(stability, None)
-    stability.set_defaults(run=_stability)
 
     optimize = commands.add_parser(
         "optimize",
@@ -102,7 +84,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     optimize.add_argument("machine", nargs="?", default="kunt_singh_1990", metavar="MACHINE", help=machine_help)
     _add_goals(optimize)
-    optimize.set_defaults(run=_optimize)
 
     sweep = commands.add_parser(
         "sweep", help="map duty and frequency: stiction bands, subharmonics, and how far off the LTV model is"
@@ -119,7 +100,6 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--points", type=int, default=20, help="points along each axis (default: 20)")
     sweep.add_argument("--out", type=Path, default=Path("sweep"), metavar="DIR", help="folder (default: sweep)")
     _add_model(sweep, "fitted")
-    sweep.set_defaults(run=_sweep)
     return parser
 
 
@@ -155,21 +135,6 @@ def _add_goals(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for optimum.json and a picture")
 
 
-def _optimize(options: argparse.Namespace) -> int:
-    machine = load_machine(options.machine)
-    if options.pulses < 1:
-        raise ValueError(f"--pulses: found {options.pulses}, expected 1 or more")
-    if options.pulses > 1:
-        turn = 2 * math.pi / options.pulses
-        machine = machine.with_pulses([(i * turn, (i + machine.duty) * turn) for i in range(options.pulses)])
-    found = run_request(machine, parse_request(machine, options), model=options.model, globally=options.globally)
-    print(f"{machine.name}\n{optimum_text(found)}")
-    if options.out is not None:
-        _make(options.out)
-        print("\nwritten:", *(f"  {path}" for path in write_optimum(found, options.out)), sep="\n")
-    return 0 if found.status == "optimal" else 1
-
-
 def _add_design(parser: argparse.ArgumentParser, points: str | None) -> None:
     parser.add_argument("--duty", type=float, metavar="D", help="duty cycle, 0 to 1 (default: the machine's own)")
     _add_model(parser, points)
@@ -187,144 +152,3 @@ def _add_model(parser: argparse.ArgumentParser, default: str | None) -> None:
         default=default,
         help=f"of the LTV model (default: {standard})",
     )
-
-
-def _machine(options: argparse.Namespace) -> Machine:
-    machine = load_machine(options.machine)
-    return machine if options.duty is None else machine.with_duty(options.duty)
-
-
-def _study(options: argparse.Namespace) -> int:
-    machine = _machine(options)
-    for frequency in options.frequency:
-        if not 0 < frequency < float("inf"):
-            raise ValueError(f"--frequency: found {frequency:g} Hz, expected a finite number above zero")
-    if options.points < 1:
-        raise ValueError(f"--points: found {options.points}, expected 1 or more")
-    frequencies = frequency_grid(options.frequency, options.points)
-    _make(options.out)
-    # A lazy door: cvxpy takes a second to load, and not every command needs it.
-    from ltvpneu.face.study_design import design_text, n_design_parts, run_design
-
-    total = n_parts(machine, options.frequency, frequencies)
-    switches = not isinstance(machine.valve, ProportionalValve)
-    total += n_design_parts(options.frequency) if switches else 0
-    # The first part of the first run takes longest: it compiles the laws.
-    with tqdm(total=total, desc="study", unit="part", leave=False) as bar:
-        study = run_study(
-            machine,
-            options.frequency,
-            n_steps=options.n_steps,
-            operating_points=options.operating_points,
-            grid=frequencies,
-            progress=bar.update,
-        )
-        if switches and any(case.orbits for case in study.cases):
-            designed = run_design(machine, options.frequency, bar.update)
-        else:
-            designed = None
-    print(study_text(study))
-    if not any(case.orbits for case in study.cases):
-        raise ValueError("no model gave an orbit at any frequency; the reasons stand in the tables above")
-    if designed is None:
-        print("The valve is proportional and has no duty cycle to map or to design; in Python, duty_problem takes its")
-        print("command's points, pressures and frequency as variables.\n")
-    else:
-        print(design_text(designed))
-    written = write_study(study, designed, options.out)
-    print("written:", *(f"  {path}" for path in written), sep="\n")
-    return 0
-
-
-def write_study(study: Study, designed: "DesignStudy | None", folder: Path) -> list[Path]:
-    """Write the pictures and the JSON of a study; return their paths."""
-    # A lazy door: matplotlib takes longer to load than the study to run.
-    from ltvpneu.face import pictures
-    from ltvpneu.face.study_design import design_data
-
-    machine = study.machine
-    models = [case.models["ltv"] for case in study.cases if "ltv" in case.models]
-    figures = {"valve_areas": pictures.draw(models[0] if models else machine)}
-    for case in study.cases:
-        if case.orbits:
-            label = f"{case.frequency:g}_Hz".replace(".", "p")
-            title = f"{machine.name}: cycle at {case.frequency:g} Hz, duty {machine.duty:.3g}"
-            orbits = {LABELS[name]: orbit for name, orbit in case.orbits.items()}
-            figures[f"cycle_{label}"] = pictures.draw_cycles(orbits, title)
-    free = study.frictionless_amplitudes if study.frictionless else None
-    figures["amplitude"] = pictures.draw_amplitudes(study.response, free)
-    found = {f"{case.frequency:g} Hz": case.floquets["ltv"] for case in study.cases if "ltv" in case.floquets}
-    if found:
-        figures["multipliers"] = pictures.draw(found)
-    if designed is not None:
-        figures["duty_map"] = pictures.draw(designed.duties)
-        figures["stability_map"] = pictures.draw(designed.stability)
-    if designed is not None and designed.optimum is not None:
-        figures["optimum"] = pictures.draw(designed.optimum)
-    written: list[Path] = []
-    for name, figure in figures.items():
-        written.append(folder / f"{name}.png")
-        figure.savefig(written[-1], dpi=150)
-    written.append(folder / "study.json")
-    data = study_data(study) | ({} if designed is None else {"design": design_data(designed)})
-    written[-1].write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    return written
-
-
-def _stability(options: argparse.Namespace) -> int:
-    machine = _machine(options)
-    points = options.operating_points or ("self-consistent" if isinstance(machine.gas, Liquid) else "fitted")
-    rows: list[list[str]] = []
-    all_stable = True
-    # On a terminal only: a script reads what comes out.
-    with tqdm(total=len(options.frequency), desc="stability", unit="frequency", leave=False, disable=None) as bar:
-        for frequency in options.frequency:
-            row, is_stable = _stability_row(machine, frequency, options.n_steps, points)
-            rows.append(row)
-            all_stable = all_stable and is_stable
-            bar.update(1)
-    print(f"{machine.name}: LTV model, operating points {points!r}\n")
-    header = ["frequency [Hz]", "duty", "steps", "periods", "multipliers", "radius", "computed to", "verdict", "remark"]
-    print(table(header, rows))
-    return STABLE if all_stable else NOT_STABLE
-
-
-def _stability_row(
-    machine: Machine, frequency: float, n_steps: int | None, points: OperatingPoints
-) -> tuple[list[str], bool]:
-    """Return a line of the table, and whether the verdict is stable; the nonlinear orbit's where no model is found."""
-    try:
-        model = ltv_model(machine, frequency, n_steps=n_steps, operating_points=points)
-        found, orbit, steps = cycle_floquet(model), model.orbit, f"{model.system.n_steps}"
-        # A cycle may take several periods to repeat, and its steps are then those of all of them.
-        periods, said = 1 if model.own_cycle is None else model.own_cycle.n_periods, list[str]()
-    except NotConvergedError:
-        orbit = nonlinear_orbit(machine, frequency)
-        found, steps, periods = orbit_floquet(machine, orbit), "-", orbit.n_periods
-        said = [f"of the nonlinear orbit, as no {points!r} model was found"]
-    said += [*remarks(orbit, machine), *depends(attractors(machine, frequency, n_spread=MAP_SPREAD))]
-    # No more digits than it is computed to.
-    share = found.margin / max(found.spectral_radius, found.margin)
-    digits = 6 if found.margin < 1e-6 else max(math.ceil(-math.log10(share)), 1)
-    place = [f"{frequency:g}", f"{machine.duty:.4g}", steps, f"{periods}"]
-    figures = [f"{found.spectral_radius:.{min(digits, 6)}g}", f"{found.margin:.1e}", found.verdict]
-    return [*place, multipliers_text(found), *figures, ", ".join(said)], found.is_stable
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"--out: found {str(folder)!r}, expected a folder that can be made ({error})") from None
-
-
-def _sweep(options: argparse.Namespace) -> int:
-    machine = load_machine(options.machine)
-    duties = grid("duty", options.duty, options.points, 1.0)
-    frequencies = grid("frequency", options.frequency, options.points, LARGEST)
-    _make(options.out)
-    sweep = run_sweep(machine, duties, frequencies, options.n_steps, options.operating_points)
-    print(f"{machine.name}: {options.points} x {options.points} points\n\n{sweep_text(sweep)}")
-    written = write_sweep(sweep, options.out)
-    print("written:", *(f"  {path}" for path in written), sep="\n")
-    return 0

@@ -1,14 +1,12 @@
 """Machines from TOML files with units, and the bundled ones."""
 
-import difflib
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast, final
 
 from ltvpneu.errors import MachineFileError
+from ltvpneu.face.machine_text import machine_text, nearest, parsed
 from ltvpneu.face.units import Dimension, parse
 from ltvpneu.models.machine.connections import FlowPath
 from ltvpneu.models.machine.machine import Machine, Valve
@@ -109,12 +107,6 @@ _FLOW_PATH = {
 }  # fmt: skip
 
 
-def bundled_machines() -> tuple[str, ...]:
-    """Return the names of the machines that come with the package."""
-    folder = resources.files("ltvpneu") / "machines"
-    return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
-
-
 def load_machine(source: str | Path) -> Machine:
     """Return a machine: a bundled one by its name, or one from a TOML file by its path.
 
@@ -135,29 +127,12 @@ def load_machine(source: str | Path) -> Machine:
     >>> lp.load_machine("kunt_singh_1990").supply_pressure
     410000.0
     """
-    path = Path(source)
-    if path.suffix == ".toml" or path.is_file():
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise MachineFileError(f"{path}: cannot be read ({error}), expected a machine file") from error
-        return parse_machine(text, path.name)
-    name = str(source)
-    if name not in bundled_machines():
-        raise MachineFileError(
-            f"{name}: found neither a file nor a bundled machine{nearest(name, bundled_machines())}; bundled: "
-            f"{', '.join(bundled_machines())}; a file's name ends in .toml"
-        )
-    text = (resources.files("ltvpneu") / "machines" / f"{name}.toml").read_text(encoding="utf-8")
-    return parse_machine(text, f"{name}.toml")
+    return parse_machine(*machine_text(source))
 
 
 def parse_machine(text: str, name: str) -> Machine:
     """Return the machine that a TOML text describes; `name` is what errors call it."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise MachineFileError(f"{name}: not valid TOML: {error}") from error
+    data = parsed(text, name)
     file = _File(name, _ambient(data, name))
     top = _table(data, _MACHINE, file, "")
     top.pop("source", None)
@@ -365,12 +340,6 @@ def _build(
         if keys and field in keys:
             message = keys[field] + colon + rest
         raise MachineFileError(f"{file}: {where + '.' if where else ''}{message}") from error
-
-
-def nearest(name: str, known: tuple[str, ...]) -> str:
-    """Return a hint at the name that is most like a wrong one, or nothing."""
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f", did you mean {close[0]!r}?" if close else ""
 
 
 def _kind_name(kind: Kind) -> str:

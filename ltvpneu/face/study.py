@@ -16,8 +16,9 @@ from ltvpneu.models.cycles.amplitude import MODELS, AmplitudeResponse, amplitude
 from ltvpneu.models.cycles.floquet import cycle_floquet
 from ltvpneu.models.linear.error_estimate import ErrorEstimate
 from ltvpneu.models.linear.lti import lti_model
-from ltvpneu.models.linear.ltv import OperatingPoints, ltv_model
+from ltvpneu.models.linear.ltv import ltv_model
 from ltvpneu.models.linear.model import LtvModel
+from ltvpneu.models.linear.modes import OperatingPoints
 from ltvpneu.models.linear.staircase import default_steps
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import Attractors, attractors

@@ -14,7 +14,7 @@ from ltvpneu.face.report import grouped_failures, table
 from ltvpneu.face.study_data import failure_data, plain
 from ltvpneu.models.cycles.orbit_map import KINDS, Branch, OrbitMap, orbit_map
 from ltvpneu.models.cycles.validity_map import ValidityMap, validity_map
-from ltvpneu.models.linear.ltv import OperatingPoints
+from ltvpneu.models.linear.modes import OperatingPoints
 from ltvpneu.models.machine.machine import Machine
 
 LARGEST = sys.float_info.max

@@ -13,6 +13,7 @@ eigenvalue of F_{N-1} ... F_0 is a product of diagonal entries, whose logarithms
 """
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -203,7 +204,6 @@ def _triangularize(factors: ComplexArray) -> bool:
     return True
 
 
-@compiled
 def _pair_conjugates(log_moduli: FloatArray, angles: FloatArray) -> None:
     """Make eigenvalues of a real matrix, computed in complex numbers, real or conjugate to the last bit, in place."""
     values: ComplexArray = np.exp(log_moduli - np.max(log_moduli) + 1j * angles)
@@ -211,13 +211,10 @@ def _pair_conjugates(log_moduli: FloatArray, angles: FloatArray) -> None:
     while np.any(left):
         i = int(np.argmax(np.where(left, np.abs(values.imag), -1.0)))
         left[i] = False
+        apart = np.where(left, np.abs(values[i] - values.conj()), np.inf)
+        partner = int(np.argmin(apart))
         # Its own mirror image is as near as the real axis is.
-        nearest, partner = 2 * abs(values[i].imag), -1
-        for other in range(len(values)):
-            distance = abs(values[i] - values[other].conjugate())
-            if left[other] and distance < nearest:
-                nearest, partner = distance, other
-        if partner < 0:
+        if not apart[partner] < 2 * abs(values[i].imag):
             angles[i] = 0.0 if values[i].real >= 0 else np.pi
             continue
         left[partner] = False
@@ -226,47 +223,26 @@ def _pair_conjugates(log_moduli: FloatArray, angles: FloatArray) -> None:
         log_moduli[i] = log_moduli[partner] = (log_moduli[i] + log_moduli[partner]) / 2
 
 
-@compiled
-def _of_block(triangles: FloatArray, coupling: FloatArray, log_moduli: FloatArray, angles: FloatArray) -> bool:
-    """Write logarithms and angles of the eigenvalues of coupling @ R_{N-1} @ ... @ R_0; False if not converged."""
-    N, n = triangles.shape[0], triangles.shape[1]
-    if n == 1:
-        entries = triangles[:, 0, 0]
-        log_moduli[0] = np.sum(np.log(np.abs(entries)))
-        negative = np.sum(entries < 0) + (coupling[0, 0] < 0)
-        angles[0] = np.pi if negative % 2 == 1 else 0.0
-        return True
+def _of_block(triangles: FloatArray, coupling: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+    """Return logarithms and angles of the eigenvalues of coupling @ R_{N-1} @ ... @ R_0, and convergence."""
     factors = triangles.astype(np.complex128)
-    factors[N - 1] = np.dot(np.ascontiguousarray(coupling), np.ascontiguousarray(triangles[N - 1]))
-    if not _triangularize(factors):
-        return False
-    for i in range(n):
-        log, direction = 0.0, 1 + 0j
-        for k in range(N):
-            entry = factors[k, i, i]
-            size = abs(entry)
-            log += math.log(size) if size > 0 else -np.inf
-            direction *= entry / size if size > 0 else 1 + 0j
-        log_moduli[i], angles[i] = log, math.atan2(direction.imag, direction.real)
+    factors[-1] = coupling @ triangles[-1]
+    converged = _triangularize(factors)
+    entries = np.diagonal(factors, axis1=1, axis2=2)
+    sizes = np.abs(entries)
+    with np.errstate(divide="ignore"):
+        log_moduli = np.log(sizes).sum(axis=0)
+    angles: FloatArray = np.angle(np.prod(np.where(sizes > 0, entries / np.where(sizes > 0, sizes, 1), 1), axis=0))
     _pair_conjugates(log_moduli, angles)
-    return True
+    return log_moduli, angles, converged
 
 
-@compiled
 def _suspicious(triangles: FloatArray) -> BoolArray:
     """Return which R_k have a diagonal entry that may be rounding: small against its column."""
-    N, n = triangles.shape[0], triangles.shape[1]
-    found = np.zeros(N, dtype=np.bool_)
-    for k in range(N):
-        for j in range(n):
-            size = 0.0
-            for i in range(j + 1):
-                size += triangles[k, i, j] ** 2
-            found[k] |= abs(triangles[k, j, j]) <= n * EPS * math.sqrt(size)
-    return found
+    diagonals = np.abs(np.diagonal(triangles, axis1=1, axis2=2))
+    return (diagonals <= triangles.shape[1] * EPS * np.sqrt((triangles**2).sum(axis=1))).any(axis=1)
 
 
-@compiled
 def log_eigenvalues(factors: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray, bool]:
     """Return logarithms and angles of the eigenvalues of F_{N-1} ... F_0, maybe singular factors, and convergence.
 
@@ -275,13 +251,17 @@ def log_eigenvalues(factors: FloatArray) -> tuple[FloatArray, FloatArray, BoolAr
     factors : ndarray, shape (N, n, n)
         Contiguous, entries about one in size.
     """
-    n = factors.shape[1]
-    triangles, coupling, cuts = _orthogonal_iteration(factors)
-    log_moduli, angles, converged = np.empty(n), np.empty(n), True
-    start = 0
-    for stop in range(1, n + 1):
-        if cuts[stop]:
+    triangles, coupling, cuts = _orthogonal_iteration(np.array(factors, order="C"))
+    entries, converged = np.diagonal(triangles, axis1=1, axis2=2), True
+    # Of blocks of one, which are the rule, the product of the diagonals.
+    with np.errstate(divide="ignore"):
+        log_moduli = np.log(np.abs(entries)).sum(axis=0)
+    negative = (entries < 0).sum(axis=0) + (np.diagonal(coupling) < 0)
+    angles = np.where(negative % 2 == 1, np.pi, 0.0)
+    starts = np.flatnonzero(cuts)
+    for start, stop in pairwise(starts):
+        if stop - start > 1:
             block = slice(start, stop)
-            converged &= _of_block(triangles[:, block, block], coupling[block, block], log_moduli[block], angles[block])
-            start = stop
+            found = _of_block(triangles[:, block, block], coupling[block, block])
+            log_moduli[block], angles[block], converged = found[0], found[1], converged and found[2]
     return log_moduli, angles, _suspicious(triangles), converged

@@ -124,7 +124,7 @@ def test_stability_exits_0_stable_1_not_stable_2_bad_input(arguments, code, monk
         # No machine with a spring and damping is unstable in this model; the exit code follows the verdict of the
         # multipliers.
         matrices = lp.PeriodicSystem.from_matrices([[[0.1]]], [[0.0]], [1.0])
-        monkeypatch.setattr("ltvpneu.face.cli.cycle_floquet", lambda model: lp.floquet(matrices))
+        monkeypatch.setattr("ltvpneu.face.commands.cycle_floquet", lambda model: lp.floquet(matrices))
         arguments = ["kunt_singh_1990", "--frequency", "4"]
     assert main(["stability", *arguments]) == code
     captured = capsys.readouterr()
@@ -400,7 +400,7 @@ def test_warnings_and_a_missing_library_are_lines_not_tracebacks(tmp_path, capsy
     def missing(name: str):
         raise ImportError("real gas needs CoolProp: pip install 'ltvpneu[gas]'")
 
-    monkeypatch.setattr("ltvpneu.face.cli.load_machine", missing)
+    monkeypatch.setattr("ltvpneu.face.commands.load_machine", missing)
     assert main(["stability", str(path), "--frequency", "4"]) == 2
     assert "error: real gas needs CoolProp" in capsys.readouterr().err
 

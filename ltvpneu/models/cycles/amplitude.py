@@ -11,7 +11,8 @@ from ltvpneu._arrays import FloatArray, finite_array, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.linear.lti import lti_model
-from ltvpneu.models.linear.ltv import OperatingPoints, ltv_model
+from ltvpneu.models.linear.ltv import ltv_model
+from ltvpneu.models.linear.modes import OperatingPoints
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
 from ltvpneu.models.nonlinear.simulation import nonlinear_orbit

@@ -165,19 +165,14 @@ def sweep(start: FloatArray, given: Given, machine: MachineRecord) -> Swept:
     return Swept(state, lows, highs, sums, visited, True)
 
 
-@compiled
 def corrected(
     start: FloatArray, given: Given, machine: MachineRecord, tolerance: float, max_sweeps: int
 ) -> tuple[Swept, float]:
     """Sweep until the state repeats; return the last sweep and the change that is left."""
-    begin = start.copy()
-    n = begin.size - 1
-    change = math.inf
+    begin, change = start.copy(), math.inf
     while True:
         swept = sweep(begin, given, machine)
-        last, change = change, 0.0
-        for i in range(n):
-            change = max(change, abs(swept.state[i] - begin[i]))
+        last, change = change, float(np.max(np.abs(swept.state - begin)))
         max_sweeps -= 1
         # What is left to go is the change over one minus the contraction.
         if not swept.is_finite or max_sweeps <= 0 or change <= tolerance * max(1.0 - change / last, 1e-3):

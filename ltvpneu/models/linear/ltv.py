@@ -9,6 +9,7 @@ from ltvpneu._arrays import FloatArray, finite_array, not_negative, positive, wh
 from ltvpneu.models.linear.linearize import Tangent, linearize_steps
 from ltvpneu.models.linear.lti import lti_model_of_turn
 from ltvpneu.models.linear.model import LtvModel, assemble, warn_outside
+from ltvpneu.models.linear.modes import MODES, OperatingPoints
 from ltvpneu.models.linear.operating_points import LEAST_DISTANCE, Turn, held_inside, quasi_static_turn
 from ltvpneu.models.linear.own_cycle import Question, Spacing, model_to_tolerance, own_cycle_model
 from ltvpneu.models.linear.staircase import default_steps, staircase
@@ -19,17 +20,7 @@ from ltvpneu.periodic.steady import periodic_states
 from ltvpneu.periodic.system import PeriodicSystem
 from ltvpneu.physics.liquid import Liquid
 
-OperatingPoints = Literal[
-    "lti", "lti-position", "mean", "quasi-static", "quasi-static-steps", "fitted", "self-consistent"
-]
-
-
 Hold = Literal["zero", "first"]
-
-
-MODES: tuple[OperatingPoints, ...] = (
-    "lti", "lti-position", "mean", "quasi-static", "quasi-static-steps", "fitted", "self-consistent"
-)  # fmt: skip
 
 
 def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default

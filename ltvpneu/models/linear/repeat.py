@@ -74,9 +74,10 @@ def _attracts(map_: FloatArray) -> bool:
 def _inverse_of_steps(map_: FloatArray) -> FloatArray | None:
     """Return the inverse of I - Phi, None where there is none."""
     try:
-        return np.linalg.inv(np.eye(len(map_)) - map_)
+        inverse: FloatArray = np.linalg.inv(np.eye(len(map_)) - map_).astype(np.float64)
     except np.linalg.LinAlgError:
         return None
+    return inverse
 
 
 def _learnt(inverse: FloatArray, moved: FloatArray, less: FloatArray) -> FloatArray:

@@ -1,0 +1,192 @@
+"""What the sub-commands do; loaded once the command line has been read."""
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tqdm import tqdm
+
+from ltvpneu.errors import NotConvergedError
+from ltvpneu.face.machine_file import load_machine
+from ltvpneu.face.optimize import optimum_text, parse_request, run_request, write_optimum
+from ltvpneu.face.report import LABELS, depends, multipliers_text, remarks, study_text, table
+from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
+from ltvpneu.face.study_data import study_data
+from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
+from ltvpneu.models.cycles.floquet import cycle_floquet
+from ltvpneu.models.cycles.orbit_map import MAP_SPREAD
+from ltvpneu.models.linear.ltv import OperatingPoints, ltv_model
+from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.nonlinear.attractors import attractors
+from ltvpneu.models.nonlinear.floquet import orbit_floquet
+from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
+from ltvpneu.physics.liquid import Liquid
+from ltvpneu.physics.proportional import ProportionalValve
+
+if TYPE_CHECKING:
+    from ltvpneu.face.study_design import DesignStudy
+
+STABLE, NOT_STABLE = 0, 1
+"""Exit codes."""
+
+
+def optimize(options: argparse.Namespace) -> int:
+    """Find duty, frequency or angles for a wanted motion."""
+    machine = load_machine(options.machine)
+    if options.pulses < 1:
+        raise ValueError(f"--pulses: found {options.pulses}, expected 1 or more")
+    if options.pulses > 1:
+        turn = 2 * math.pi / options.pulses
+        machine = machine.with_pulses([(i * turn, (i + machine.duty) * turn) for i in range(options.pulses)])
+    found = run_request(machine, parse_request(machine, options), model=options.model, globally=options.globally)
+    print(f"{machine.name}\n{optimum_text(found)}")
+    if options.out is not None:
+        _make(options.out)
+        print("\nwritten:", *(f"  {path}" for path in write_optimum(found, options.out)), sep="\n")
+    return 0 if found.status == "optimal" else 1
+
+
+def _machine(options: argparse.Namespace) -> Machine:
+    machine = load_machine(options.machine)
+    return machine if options.duty is None else machine.with_duty(options.duty)
+
+
+def study(options: argparse.Namespace) -> int:
+    """Work a machine through: tables, pictures, JSON."""
+    machine = _machine(options)
+    for frequency in options.frequency:
+        if not 0 < frequency < float("inf"):
+            raise ValueError(f"--frequency: found {frequency:g} Hz, expected a finite number above zero")
+    if options.points < 1:
+        raise ValueError(f"--points: found {options.points}, expected 1 or more")
+    frequencies = frequency_grid(options.frequency, options.points)
+    _make(options.out)
+    # A lazy door: cvxpy takes a second to load, and not every command needs it.
+    from ltvpneu.face.study_design import design_text, n_design_parts, run_design
+
+    total = n_parts(machine, options.frequency, frequencies)
+    switches = not isinstance(machine.valve, ProportionalValve)
+    total += n_design_parts(options.frequency) if switches else 0
+    # The first part of the first run takes longest: it compiles the laws.
+    with tqdm(total=total, desc="study", unit="part", leave=False) as bar:
+        found = run_study(
+            machine,
+            options.frequency,
+            n_steps=options.n_steps,
+            operating_points=options.operating_points,
+            grid=frequencies,
+            progress=bar.update,
+        )
+        if switches and any(case.orbits for case in found.cases):
+            designed = run_design(machine, options.frequency, bar.update)
+        else:
+            designed = None
+    print(study_text(found))
+    if not any(case.orbits for case in found.cases):
+        raise ValueError("no model gave an orbit at any frequency; the reasons stand in the tables above")
+    if designed is None:
+        print("The valve is proportional and has no duty cycle to map or to design; in Python, duty_problem takes its")
+        print("command's points, pressures and frequency as variables.\n")
+    else:
+        print(design_text(designed))
+    written = write_study(found, designed, options.out)
+    print("written:", *(f"  {path}" for path in written), sep="\n")
+    return 0
+
+
+def write_study(study: Study, designed: "DesignStudy | None", folder: Path) -> list[Path]:
+    """Write the pictures and the JSON of a study; return their paths."""
+    # A lazy door: matplotlib takes longer to load than the study to run.
+    from ltvpneu.face import pictures
+    from ltvpneu.face.study_design import design_data
+
+    machine = study.machine
+    models = [case.models["ltv"] for case in study.cases if "ltv" in case.models]
+    figures = {"valve_areas": pictures.draw(models[0] if models else machine)}
+    for case in study.cases:
+        if case.orbits:
+            label = f"{case.frequency:g}_Hz".replace(".", "p")
+            title = f"{machine.name}: cycle at {case.frequency:g} Hz, duty {machine.duty:.3g}"
+            orbits = {LABELS[name]: orbit for name, orbit in case.orbits.items()}
+            figures[f"cycle_{label}"] = pictures.draw_cycles(orbits, title)
+    free = study.frictionless_amplitudes if study.frictionless else None
+    figures["amplitude"] = pictures.draw_amplitudes(study.response, free)
+    found = {f"{case.frequency:g} Hz": case.floquets["ltv"] for case in study.cases if "ltv" in case.floquets}
+    if found:
+        figures["multipliers"] = pictures.draw(found)
+    if designed is not None:
+        figures["duty_map"] = pictures.draw(designed.duties)
+        figures["stability_map"] = pictures.draw(designed.stability)
+    if designed is not None and designed.optimum is not None:
+        figures["optimum"] = pictures.draw(designed.optimum)
+    written: list[Path] = []
+    for name, figure in figures.items():
+        written.append(folder / f"{name}.png")
+        figure.savefig(written[-1], dpi=150)
+    written.append(folder / "study.json")
+    data = study_data(study) | ({} if designed is None else {"design": design_data(designed)})
+    written[-1].write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return written
+
+
+def stability(options: argparse.Namespace) -> int:
+    """Print the verdict of the LTV model at each frequency."""
+    machine = _machine(options)
+    points = options.operating_points or ("self-consistent" if isinstance(machine.gas, Liquid) else "fitted")
+    rows: list[list[str]] = []
+    all_stable = True
+    # On a terminal only: a script reads what comes out.
+    with tqdm(total=len(options.frequency), desc="stability", unit="frequency", leave=False, disable=None) as bar:
+        for frequency in options.frequency:
+            row, is_stable = _stability_row(machine, frequency, options.n_steps, points)
+            rows.append(row)
+            all_stable = all_stable and is_stable
+            bar.update(1)
+    print(f"{machine.name}: LTV model, operating points {points!r}\n")
+    header = ["frequency [Hz]", "duty", "steps", "periods", "multipliers", "radius", "computed to", "verdict", "remark"]
+    print(table(header, rows))
+    return STABLE if all_stable else NOT_STABLE
+
+
+def _stability_row(
+    machine: Machine, frequency: float, n_steps: int | None, points: OperatingPoints
+) -> tuple[list[str], bool]:
+    """Return a line of the table, and whether the verdict is stable; the nonlinear orbit's where no model is found."""
+    try:
+        model = ltv_model(machine, frequency, n_steps=n_steps, operating_points=points)
+        found, orbit, steps = cycle_floquet(model), model.orbit, f"{model.system.n_steps}"
+        # A cycle may take several periods to repeat, and its steps are then those of all of them.
+        periods, said = 1 if model.own_cycle is None else model.own_cycle.n_periods, list[str]()
+    except NotConvergedError:
+        orbit = nonlinear_orbit(machine, frequency)
+        found, steps, periods = orbit_floquet(machine, orbit), "-", orbit.n_periods
+        said = [f"of the nonlinear orbit, as no {points!r} model was found"]
+    said += [*remarks(orbit, machine), *depends(attractors(machine, frequency, n_spread=MAP_SPREAD))]
+    # No more digits than it is computed to.
+    share = found.margin / max(found.spectral_radius, found.margin)
+    digits = 6 if found.margin < 1e-6 else max(math.ceil(-math.log10(share)), 1)
+    place = [f"{frequency:g}", f"{machine.duty:.4g}", steps, f"{periods}"]
+    figures = [f"{found.spectral_radius:.{min(digits, 6)}g}", f"{found.margin:.1e}", found.verdict]
+    return [*place, multipliers_text(found), *figures, ", ".join(said)], found.is_stable
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out: found {str(folder)!r}, expected a folder that can be made ({error})") from None
+
+
+def sweep(options: argparse.Namespace) -> int:
+    """Map duty and frequency."""
+    machine = load_machine(options.machine)
+    duties = grid("duty", options.duty, options.points, 1.0)
+    frequencies = grid("frequency", options.frequency, options.points, LARGEST)
+    _make(options.out)
+    found = run_sweep(machine, duties, frequencies, options.n_steps, options.operating_points)
+    print(f"{machine.name}: {options.points} x {options.points} points\n\n{sweep_text(found)}")
+    written = write_sweep(found, options.out)
+    print("written:", *(f"  {path}" for path in written), sep="\n")
+    return 0
