@@ -8,7 +8,7 @@ import numba
 from numba.core import types
 from numba.extending import overload
 
-from ltvpneu._kernel_cache import CHOICES, KernelCache
+from ltvpneu._kernel_cache import CHOICES, OPTIONS, KernelCache
 from ltvpneu._telling import telling
 
 P = ParamSpec("P")
@@ -23,11 +23,20 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
     The interpreter lock is released inside, so that sweeps may run in threads.
     """
-    # error_model="numpy": a division by zero gives inf, as on paper, where an infinite slope is an answer.
-    # No wrapper for C: nobody calls a kernel from there, and each takes a tenth of the compiling.
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    kernel: Any = numba.njit(**options)(function)
-    kernel._cache = KernelCache(kernel.py_func)
+    return _kernel(function, forceinline=False)
+
+
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a small law of an inner loop into its callers: the call would take longer than the law."""
+    return _kernel(function, forceinline=True)
+
+
+def _kernel(function: Callable[P, R], **options: bool) -> Callable[P, R]:
+    # error_model="numpy": a division by zero gives inf, as on paper, where an infinite slope is an answer. No wrapper
+    # for C: nobody calls a kernel from there, and each takes a tenth of the compiling.
+    common: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    kernel: Any = numba.njit(**common, **options)(function)
+    kernel._cache, OPTIONS[kernel.py_func] = KernelCache(kernel.py_func), options
     resolve, make = kernel.get_call_template, kernel.compile
 
     def resolve_plainly(args: tuple[types.Type, ...], kws: dict[str, types.Type]) -> Any:

@@ -49,6 +49,8 @@ class Counts:
 
 
 counts = Counts()
+OPTIONS: dict[Any, dict[str, bool]] = {}
+"""How the functions of kernels are compiled."""
 CHOICES: dict[Any, tuple[Any, ...]] = {}
 """Functions that are chosen by the type of a record, and what each is chosen from, and by what."""
 
@@ -118,7 +120,7 @@ _known: dict[python.FunctionType, str] = {}
 def own_hash(function: python.FunctionType) -> str:
     """Return a hash of a function's own bytecode and of the constants that it reads."""
     if function not in _known:
-        parts: list[str] = [function.__qualname__]
+        parts: list[str] = [function.__qualname__, repr(OPTIONS.get(function))]
         for code in _codes(function.__code__):
             constants = [
                 repr(c) for c in code.co_consts if not isinstance(c, python.CodeType) and c != function.__doc__

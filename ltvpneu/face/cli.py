@@ -1,4 +1,4 @@
-"""The command line: `ltvpneu study`, `ltvpneu stability`, `ltvpneu optimize` and `ltvpneu sweep`."""
+"""The command line: `ltvpneu study`, `stability`, `optimize`, `sweep` and `warm`."""
 
 import argparse
 import importlib
@@ -20,20 +20,22 @@ BAD_INPUT = 2
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0 done or stable, 1 not stable, 2 bad input."""
     options = _parser().parse_args(arguments)
+    machine: str = getattr(options, "machine", "")
 
     def show(message: Warning | str, *_: object, **__: object) -> None:
-        print(f"ltvpneu {options.command}: warning: {_located(str(message), options.machine)}", file=sys.stderr)
+        print(f"ltvpneu {options.command}: warning: {_located(str(message), machine)}", file=sys.stderr)
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("default", UserWarning)
             warnings.showwarning = show
             # What can be said at once is said before anything is loaded that takes time.
-            parsed(*machine_text(options.machine))
+            if machine:
+                parsed(*machine_text(machine))
             run: int = getattr(importlib.import_module("ltvpneu.face.commands"), options.command)(options)
             return run
     except (LtvpneuError, ValueError, TypeError, OSError, ImportError) as error:
-        print(f"ltvpneu {options.command}: error: {_located(str(error), options.machine)}", file=sys.stderr)
+        print(f"ltvpneu {options.command}: error: {_located(str(error), machine)}", file=sys.stderr)
         return BAD_INPUT
 
 
@@ -100,6 +102,9 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--points", type=int, default=20, help="points along each axis (default: 20)")
     sweep.add_argument("--out", type=Path, default=Path("sweep"), metavar="DIR", help="folder (default: sweep)")
     _add_model(sweep, "fitted")
+
+    warm = commands.add_parser("warm", help="compile the machine's equations ahead of use, and keep them on disk")
+    warm.add_argument("--jobs", type=int, metavar="N", help="processes at work (default: one for each core)")
     return parser
 
 

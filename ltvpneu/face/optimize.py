@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 from tqdm import tqdm
 
-from ltvpneu.face.machine_file import nearest
+from ltvpneu.face.machine_text import nearest
 from ltvpneu.face.report import depends, heading, shown, table
 from ltvpneu.face.study_data import attractors_data
 from ltvpneu.face.units import Dimension, parse

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import compiled, inlined
 
 TERMS = 10
 """Terms of the Taylor series; with a norm of at most `LARGEST_NORM` the next is below 1e-14."""
@@ -21,7 +21,7 @@ LARGEST_NORM = 0.25
 SMALLEST_TERM = 1e-17
 
 
-@compiled
+@inlined
 def multiply(first: FloatArray, second: FloatArray, product: FloatArray) -> None:
     """Write the product of two square matrices."""
     n = first.shape[0]
@@ -33,7 +33,7 @@ def multiply(first: FloatArray, second: FloatArray, product: FloatArray) -> None
             product[i, j] = total
 
 
-@compiled
+@inlined
 def apply(matrix: FloatArray, vector: FloatArray, product: FloatArray) -> None:
     """Write matrix times vector."""
     for i in range(product.size):

@@ -17,11 +17,11 @@ M_f is homogeneous of degree one in (p_i, p_k), so by Euler's theorem dM_f/dp_i 
 
 import math
 
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import compiled, inlined
 from ltvpneu.physics.gas import GasConstants, GasState
 
 
-@compiled
+@inlined
 def mass_flux(upstream: float, downstream: float, temperature: float, gas: GasConstants) -> float:
     """Mass flow per effective area through an ideal nozzle [kg/(s m^2)], eq. (5).
 
@@ -102,7 +102,7 @@ def intermediate_pressure(
     return middle
 
 
-@compiled
+@inlined
 def _forward(
     first: float, second: float, upstream: float, downstream: float, temperature: float, gas: GasConstants
 ) -> float:
@@ -149,7 +149,7 @@ def _forward_slope(
     return down_first * down_second / (down_first - up_second)
 
 
-@compiled
+@inlined
 def mass_flow(first: float, second: float, source: GasState, chamber: GasState, gas: GasConstants) -> float:
     """Mass flow into a chamber through one restriction, or two in series [kg/s]; negative when it leaves, eq. (6).
 
@@ -165,7 +165,7 @@ def mass_flow(first: float, second: float, source: GasState, chamber: GasState, 
     return -_backward(first, second, source, chamber, gas)
 
 
-@compiled
+@inlined
 def _backward(first: float, second: float, source: GasState, chamber: GasState, gas: GasConstants) -> float:
     if math.isinf(second):
         return _forward(first, second, chamber.pressure, source.pressure, chamber.temperature, gas)

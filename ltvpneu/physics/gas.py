@@ -22,7 +22,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, positive, read_only
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import compiled, inlined
 from ltvpneu._values import Value
 from ltvpneu.physics.properties import IDEAL, Properties
 
@@ -114,7 +114,7 @@ class Gas(Value):
         )
 
 
-@compiled
+@inlined
 def polytropic_temperature(pressure: float, exponent: float, temperature: float, reference: float) -> float:
     """Temperature of a chamber [K], eq. (4): `temperature` at pressure `reference`."""
     if exponent == 1.0:

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ltvpneu as lp
-from ltvpneu.face.machine_file import bundled_machines, parse_machine
+from ltvpneu.face.machine_file import parse_machine
+from ltvpneu.face.machine_text import bundled_machines
 from ltvpneu.face.units import parse
 
 GOOD = """

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltvpneu._arrays import FloatArray, IntArray
-from ltvpneu._compiled import by_field, compiled
+from ltvpneu._compiled import by_field, compiled, inlined
 from ltvpneu.models.linear.fit import Visited, fit_visited, mean_visited
 from ltvpneu.models.machine.chord import Tangent, augmented, come_to_rest, tangent_at
 from ltvpneu.models.machine.dynamics import STUCK, chamber_volume
@@ -149,7 +149,7 @@ class Place(NamedTuple):
     """To the end of the cell [s]."""
 
 
-@compiled
+@inlined
 def _physical(state: FloatArray, scales: FloatArray, z: FloatArray) -> None:
     for i in range(scales.size):
         z[i] = state[i] * scales[i]
@@ -227,7 +227,7 @@ def _follow(
     return True, means, end, duration
 
 
-@compiled
+@inlined
 def _set_point(means: FloatArray, scales: FloatArray, point: FloatArray) -> None:
     for i in range(scales.size):
         point[i] = means[i] * scales[i]
@@ -236,7 +236,7 @@ def _set_point(means: FloatArray, scales: FloatArray, point: FloatArray) -> None
         point[k] = max(point[k], 1e-3 * scales[k])
 
 
-@compiled
+@inlined
 def _defect(found: bool, means: FloatArray, guess: FloatArray) -> float:
     """Largest difference between a step's means and its operating point; infinite where the equations do not hold."""
     worst = 0.0

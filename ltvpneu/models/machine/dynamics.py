@@ -22,7 +22,7 @@ with the enthalpy flow H and the wall's heat Q (`physics.thermal`).
 from typing import NamedTuple
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import by_field, compiled
+from ltvpneu._compiled import by_field, compiled, inlined
 from ltvpneu.models.machine.records import GeneralRecord, MachineRecord, is_liquid, source_state, temperature_place
 from ltvpneu.physics.flow import mass_flow
 from ltvpneu.physics.gas import GasState, ideal_properties, polytropic_temperature
@@ -33,7 +33,7 @@ STUCK = 2
 """Mode of a piston held by stiction; in motion the mode is the direction +1 or -1, which signs the dry friction."""
 
 
-@compiled
+@inlined
 def gas_in_chamber(k: int, pressure: float, machine: MachineRecord) -> GasState:
     """Return pressure [Pa] and temperature [K] in a polytropic volume k, eq. (4) with ambient as the reference."""
     temperature = polytropic_temperature(
@@ -102,13 +102,13 @@ def is_in_range(here: GasState, machine: MachineRecord) -> bool:
     return _in_range(here, machine)
 
 
-@compiled
+@inlined
 def chamber_volume(k: int, position: float, machine: MachineRecord) -> float:
     """Return the size of volume k [m^3]."""
     return machine.volumes[k].size + machine.volumes[k].slope * position
 
 
-@compiled
+@inlined
 def external_force(state: FloatArray, machine: MachineRecord) -> float:
     """F_e, all forces on the piston but friction [N], (7b)."""
     load = machine.load

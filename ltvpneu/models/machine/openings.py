@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray, layout, read_only
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import inlined
 from ltvpneu.models.machine.connections import Connection
 from ltvpneu.models.machine.records import MAX_PATHS
 from ltvpneu.physics.profile import merge_angles
@@ -91,7 +91,7 @@ Pieces = NDArray[Any]
 """The pieces of a valve period, one `PieceRecord` each, shape (n_pieces,)."""
 
 
-@compiled
+@inlined
 def write_areas(time: float, piece: PieceRecord, areas: FloatArray) -> None:
     """Write the effective areas at a time within a piece into `areas`, shape (2, n_paths)."""
     share = (time - piece.begin) / (piece.end - piece.begin)

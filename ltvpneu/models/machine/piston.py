@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.machine.dynamics import STUCK, external_force
 from ltvpneu.models.machine.records import MachineRecord
 from ltvpneu.physics.friction import holding_force, slip_direction
@@ -31,7 +31,7 @@ def at_stop(position: float, machine: MachineRecord) -> int:
     return 0
 
 
-@compiled
+@inlined
 def _holds(position: float, machine: MachineRecord) -> tuple[float, float]:
     """Return the forces that a resting piston withstands towards lower and higher positions [N]."""
     hold = holding_force(machine.load.dry_friction, machine.load.stiction)
@@ -62,7 +62,7 @@ def mode_of(state: FloatArray, machine: MachineRecord) -> int:
     return STUCK if direction == 0 else direction
 
 
-@compiled
+@inlined
 def hold_left(state: FloatArray, machine: MachineRecord) -> float:
     """Return how much more force a resting piston withstands [N]; below zero it breaks away."""
     force = external_force(state, machine)
@@ -70,7 +70,7 @@ def hold_left(state: FloatArray, machine: MachineRecord) -> float:
     return min(up - force, force + down)
 
 
-@compiled
+@inlined
 def is_possible(kind: int, mode: int, machine: MachineRecord) -> bool:
     """Whether an event of a kind can happen in a mode of motion at all."""
     if mode == STUCK or kind == BREAKS_AWAY:
@@ -83,7 +83,7 @@ def is_possible(kind: int, mode: int, machine: MachineRecord) -> bool:
     return holding_force(machine.load.dry_friction, machine.load.stiction) > 0.0
 
 
-@compiled
+@inlined
 def margin_at(state: FloatArray, kind: int, mode: int, machine: MachineRecord) -> float:
     """Return what an event of a kind waits for to fall below zero, at a state."""
     if kind == REVERSES:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 from ltvpneu._arrays import layout
-from ltvpneu._compiled import by_field, compiled
+from ltvpneu._compiled import by_field, inlined
 from ltvpneu.physics.gas import GasConstants, GasState
 from ltvpneu.physics.medium import MediumFields
 from ltvpneu.physics.properties import LIQUID
@@ -116,7 +116,7 @@ is_liquid = by_field("medium", "machine", _may_be_liquid, _is_gas)
 """Whether the machine is driven by a liquid."""
 
 
-@compiled
+@inlined
 def source_state(source: int, machine: MachineRecord) -> GasState:
     """Return pressure [Pa] and temperature [K] of the supply or of the exhaust."""
     if source == SUPPLY:

@@ -6,14 +6,14 @@ All are looked for on the interpolant of a step, so that their instants are as a
 import math
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.machine.piston import LOWER_STOP, REVERSES, UPPER_STOP, is_possible, margin_at
 from ltvpneu.models.machine.quasi_static import only_source
 from ltvpneu.models.machine.records import MachineRecord, is_liquid, temperature_place
 from ltvpneu.models.nonlinear.runge_kutta import Workspace
 
 
-@compiled
+@inlined
 def _value(coefficients: FloatArray, component: int, share: float) -> float:
     """Interpolant of one state at a share of its step; coefficients (5, n_states) in powers of the share."""
     value = coefficients[4, component]
@@ -22,7 +22,7 @@ def _value(coefficients: FloatArray, component: int, share: float) -> float:
     return value
 
 
-@compiled
+@inlined
 def _margin(
     share: float, kind: int, mode: int, coefficients: FloatArray, machine: MachineRecord, state: FloatArray
 ) -> float:
@@ -78,7 +78,7 @@ def _stop_before(share: float, kind: int, coefficients: FloatArray, machine: Mac
     return high
 
 
-@compiled
+@inlined
 def _may_happen(kind: int, mode: int, coefficients: FloatArray, machine: MachineRecord) -> bool:
     """Whether an event of a kind can happen in a step, by a quick look at the velocity for a reversal."""
     happens = is_possible(kind, mode, machine)

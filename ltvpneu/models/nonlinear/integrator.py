@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, IntArray
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.openings import PieceRecord
 from ltvpneu.models.nonlinear.events import first_event, land, rest_at_source
@@ -74,7 +74,7 @@ def new_log(n_states: int) -> FloatArray:
     return np.empty((64, POLYNOMIAL + 5 * n_states))
 
 
-@compiled
+@inlined
 def _logged(share: float, h: float, run: RunRecord, space: Workspace, log: FloatArray) -> FloatArray:
     """Return the log with one more interval: a share of a step of length h."""
     progress, n = run.progress, space.state.size
@@ -96,7 +96,7 @@ def _logged(share: float, h: float, run: RunRecord, space: Workspace, log: Float
     return log
 
 
-@compiled
+@inlined
 def _step(length: float, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
     """Count one more step, take it and return its scaled error; `space` is left with its interpolant."""
     run.progress.steps += 1
@@ -105,7 +105,7 @@ def _step(length: float, piece: PieceRecord, run: RunRecord, space: Workspace) -
     return try_step(length, piece, run, space)
 
 
-@compiled
+@inlined
 def _go_on(run: RunRecord, space: Workspace) -> bool:
     """Set the state to the end of the step; return whether its rate has to be found anew."""
     for i in range(space.state.size):

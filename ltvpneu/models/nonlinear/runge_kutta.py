@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import RK45
 
 from ltvpneu._arrays import FloatArray, layout
-from ltvpneu._compiled import by_field, compiled
+from ltvpneu._compiled import by_field, compiled, inlined
 from ltvpneu.models.machine.dynamics import state_rate
 from ltvpneu.models.machine.openings import PieceRecord, Pieces, write_areas
 from ltvpneu.models.machine.records import MAX_STATES, MachineRecord
@@ -125,7 +125,7 @@ _ERROR = RK45.E
 _INTERPOLANT = RK45.P
 
 
-@compiled
+@inlined
 def copy(source: FloatArray, target: FloatArray) -> None:
     """Write one vector into another entry by entry: numba takes seconds to compile what checks the shapes of slices."""
     for i in range(source.size):
@@ -137,19 +137,23 @@ def _adaptive_step(h: float, piece: PieceRecord, run: RunRecord, space: Workspac
 
     Writes the new state, its rate as the seventh stage and, if the error is at most one, the interpolant.
     """
-    state, new, stages, settings = space.state, space.new, space.stages, run.settings
-    # Areas that do not change were written when the piece began.
-    n, time = new.size, run.progress.time
+    # Taken out of their records and tuples once: within the loop each reading would count references.
+    state, new, rate, stages, areas = space.state, space.new, space.rate, space.stages, space.areas
+    settings, machine, mode, ramped = run.settings, run.machine, run.progress.mode, piece.ramped
+    n, time, coefficients = new.size, run.progress.time, space.coefficients
     for stage in range(1, 7):
         for i in range(n):
             total = 0.0
             for j in range(stage):
                 total += _STAGES[stage, j] * stages[j, i]
             new[i] = state[i] + h * total
-        if piece.ramped:
-            write_areas(time + _NODES[stage] * h, piece, space.areas)
-        if not state_rate(new, space.areas, run.progress.mode, run.machine, stages[stage]):
+        # Areas that do not change were written when the piece began.
+        if ramped:
+            write_areas(time + _NODES[stage] * h, piece, areas)
+        if not state_rate(new, areas, mode, machine, rate):
             return math.inf
+        for i in range(n):
+            stages[stage, i] = rate[i]
     worst = 0.0
     for i in range(n):
         error = 0.0
@@ -163,7 +167,7 @@ def _adaptive_step(h: float, piece: PieceRecord, run: RunRecord, space: Workspac
                 total = 0.0
                 for j in range(7):
                     total += _INTERPOLANT[j, power] * stages[j, i]
-                space.coefficients[power + 1, i] = h * total
+                coefficients[power + 1, i] = h * total
     return worst
 
 
@@ -253,7 +257,7 @@ first_length = by_field("settings.rtol", "run", _first_length, _fixed_length)
 """Length of the first step in a piece, or after an event [s]."""
 
 
-@compiled
+@inlined
 def start_rate(piece: PieceRecord, run: RunRecord, space: Workspace) -> bool:
     """Write the rate at the state as the first stage; False outside the equations' domain."""
     write_areas(run.progress.time, piece, space.areas)

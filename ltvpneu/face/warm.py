@@ -1,0 +1,119 @@
+"""Compile the equations ahead of use, in as many processes as there are cores."""
+
+import os
+import time
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from typing import NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+import ltvpneu as lp
+from ltvpneu._compiled import kernels
+from ltvpneu._kernel_cache import counts
+
+FREQUENCY = 4.0
+"""Of the cycles that are computed on the way [Hz]."""
+
+
+class Warmed(NamedTuple):
+    """What warming came to."""
+
+    compiled: int
+    loaded: int
+    """Found on disk."""
+    seconds: float
+    folder: str
+    """Where kernels are kept; empty where they cannot be."""
+
+
+def _machines() -> tuple[lp.Machine, lp.Machine]:
+    """Return a machine of the paper's kind, and one of any other: the kernels tell no more."""
+    machine = lp.load_machine("kunt_singh_1990")
+    return machine, machine.with_thermal("adiabatic")
+
+
+def _orbits(machine: lp.Machine) -> None:
+    orbit = lp.nonlinear_orbit(machine, FREQUENCY)
+    lp.orbit_floquet(machine, orbit)
+    lp.balance(machine, orbit)
+    lp.attractors(machine, FREQUENCY, n_spread=2)
+    lp.stiction_band(machine.with_duty(0.7), 20.0)
+
+
+def _fixed_steps(machine: lp.Machine) -> None:
+    lp.nonlinear_orbit(machine, FREQUENCY, method=lp.RungeKutta4())
+
+
+def _linear(machine: lp.Machine) -> None:
+    model = lp.ltv_model(machine, FREQUENCY)
+    lp.cycle_floquet(model)
+    _ = model.error_estimate
+    for i in range(len(machine.states)):
+        model.orbit.amplitude(i)
+
+
+def _own_cycles(machine: lp.Machine) -> None:
+    # Faster than the paper's, so that the piston does not rest and the march leaps.
+    for points in ("fitted", "self-consistent"):
+        lp.cycle_floquet(lp.ltv_model(machine, 2 * FREQUENCY, operating_points=points))
+
+
+def _design(machine: lp.Machine) -> None:
+    from ltvpneu import design
+
+    design.optimize_duty(machine, 2 * FREQUENCY, minimize="air_use", mean={"position": (0.04, 0.06)})
+    lp.nonlinear_sensitivity(machine, 2 * FREQUENCY, ["duty"])
+
+
+def _periodic_systems(machine: lp.Machine) -> None:
+    model = lp.ltv_model(machine, FREQUENCY)
+    turning = np.array([[0.0, -1.0], [1.0, 0.0]])
+    # A pair, which the iteration does not part.
+    lp.product_multipliers([turning, 0.5 * turning])
+    lp.response(model.system, n_periods=1)
+
+
+WORK: dict[str, Callable[[lp.Machine], None]] = {
+    "orbits": _orbits,
+    "cycles of linear models": _own_cycles,
+    "linear models": _linear,
+    "design": _design,
+    "fixed steps": _fixed_steps,
+    "periodic systems": _periodic_systems,
+}
+"""What needs the equations, by name: between them, all of them."""
+
+
+def work(name: str, number: int) -> tuple[int, int]:
+    """Do one kind of work on one of the machines; return how many kernels were compiled and loaded."""
+    before = counts.compiled, counts.loaded + counts.shipped
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        WORK[name](_machines()[number])
+    return counts.compiled - before[0], counts.loaded + counts.shipped - before[1]
+
+
+def warm(jobs: int | None = None) -> Warmed:
+    """Compile all that the public names need, and keep it on disk.
+
+    Parameters
+    ----------
+    jobs : int, optional
+        Processes at work; by default as many as there are cores.
+    """
+    begin, tasks = time.monotonic(), [(name, number) for number in range(len(_machines())) for name in WORK]
+    jobs = jobs or os.cpu_count() or 1
+    compiled, loaded = 0, 0
+    # Started afresh: a process that is forked takes over the threads' locks as they stand.
+    with (
+        ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=get_context("spawn")) as pool,
+        tqdm(total=len(tasks), desc="compiling the machine's equations", unit="part", leave=False) as bar,
+    ):
+        for done in as_completed([pool.submit(work, *task) for task in tasks]):
+            compiled, loaded = compiled + done.result()[0], loaded + done.result()[1]
+            bar.update(1)
+    return Warmed(compiled, loaded, time.monotonic() - begin, kernels[0]._cache.cache_path or "")
