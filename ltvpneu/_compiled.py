@@ -31,7 +31,7 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
     return _kernel(function, forceinline=True)
 
 
-def _kernel(function: Callable[P, R], **options: bool) -> Callable[P, R]:
+def _kernel(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     # error_model="numpy": a division by zero gives inf, as on paper, where an infinite slope is an answer. No wrapper
     # for C: nobody calls a kernel from there, and each takes a tenth of the compiling.
     common: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}

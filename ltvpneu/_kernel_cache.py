@@ -18,7 +18,7 @@ import time
 import types as python
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -46,6 +46,8 @@ class Counts:
     """From the user's store."""
     shipped: int = 0
     """From the package's."""
+    names: set[str] = field(default_factory=set[str])
+    """Files that kernels were loaded from."""
 
 
 counts = Counts()
@@ -220,8 +222,10 @@ class KernelCache(caching._Cache):  # pyright: ignore[reportPrivateUsage] - the 
             return None
         processor: tuple[str, ...] = target_context.codegen().magic_tuple()
         for folder, names in ((self.cache_path, processor), (SHIPPED, (processor[0], *ANY_CPU))):
-            data = None if folder is None else _read(Path(folder) / self._name(sig, names)[1])
+            path = None if folder is None else Path(folder) / self._name(sig, names)[1]
+            data = None if path is None else _read(path)
             if data is not None:
+                counts.names.add(str(path))
                 if folder is SHIPPED:
                     counts.shipped += 1
                 else:

@@ -22,6 +22,7 @@ class _Told:
         self.lock = threading.Lock()
         self.depth, self.begin, self.last, self.compiled = 0, 0.0, 0.0, 0
         self.outermost: Any = None
+        self.is_silent = False
 
     def start(self, kernel: Any, signature: str) -> None:
         self.depth += 1
@@ -33,7 +34,7 @@ class _Told:
         self.depth -= 1
         now, done = time.monotonic(), counts.compiled - self.compiled
         elapsed, on_terminal = now - self.begin, sys.stderr.isatty()
-        if elapsed < SILENT or done == 0:
+        if elapsed < SILENT or done == 0 or self.is_silent:
             return
         if self.depth == 0:
             if self.last:
@@ -53,6 +54,11 @@ class _Told:
 
 
 _told = _Told()
+
+
+def be_silent() -> None:
+    """Say nothing in this process, where another one does."""
+    _told.is_silent = True
 
 
 @contextmanager

@@ -1,11 +1,13 @@
 """Compile the equations ahead of use, in as many processes as there are cores."""
 
 import os
+import shutil
 import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +16,7 @@ from tqdm import tqdm
 import ltvpneu as lp
 from ltvpneu._compiled import kernels
 from ltvpneu._kernel_cache import counts
+from ltvpneu._telling import be_silent
 
 FREQUENCY = 4.0
 """Of the cycles that are computed on the way [Hz]."""
@@ -28,6 +31,8 @@ class Warmed(NamedTuple):
     seconds: float
     folder: str
     """Where kernels are kept; empty where they cannot be."""
+    files: frozenset[str]
+    """Those that were loaded."""
 
 
 def _machines() -> tuple[lp.Machine, lp.Machine]:
@@ -88,13 +93,18 @@ WORK: dict[str, Callable[[lp.Machine], None]] = {
 """What needs the equations, by name: between them, all of them."""
 
 
-def work(name: str, number: int) -> tuple[int, int]:
-    """Do one kind of work on one of the machines; return how many kernels were compiled and loaded."""
+def work(name: str, number: int) -> tuple[int, int, set[str]]:
+    """Do one kind of work on one of the machines.
+
+    Returns how many kernels were compiled, how many were loaded, and the files of these.
+    """
+    be_silent()
     before = counts.compiled, counts.loaded + counts.shipped
+    counts.names.clear()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         WORK[name](_machines()[number])
-    return counts.compiled - before[0], counts.loaded + counts.shipped - before[1]
+    return counts.compiled - before[0], counts.loaded + counts.shipped - before[1], set(counts.names)
 
 
 def warm(jobs: int | None = None) -> Warmed:
@@ -107,7 +117,7 @@ def warm(jobs: int | None = None) -> Warmed:
     """
     begin, tasks = time.monotonic(), [(name, number) for number in range(len(_machines())) for name in WORK]
     jobs = jobs or os.cpu_count() or 1
-    compiled, loaded = 0, 0
+    compiled, loaded, files = 0, 0, set[str]()
     # Started afresh: a process that is forked takes over the threads' locks as they stand.
     with (
         ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=get_context("spawn")) as pool,
@@ -115,5 +125,19 @@ def warm(jobs: int | None = None) -> Warmed:
     ):
         for done in as_completed([pool.submit(work, *task) for task in tasks]):
             compiled, loaded = compiled + done.result()[0], loaded + done.result()[1]
+            files |= done.result()[2]
             bar.update(1)
-    return Warmed(compiled, loaded, time.monotonic() - begin, kernels[0]._cache.cache_path or "")
+    return Warmed(compiled, loaded, time.monotonic() - begin, kernels[0]._cache.cache_path or "", frozenset(files))
+
+
+def ship(folder: str) -> int:
+    """Copy the kernels that calls from Python ask for to a folder, to come with a wheel; return how many.
+
+    Those hold all that they call. Which they are shows when nothing is compiled any more.
+    """
+    warm()
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    files = warm(1).files
+    for file in files:
+        shutil.copy(file, folder)
+    return len(files)

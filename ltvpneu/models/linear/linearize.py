@@ -102,7 +102,8 @@ def linearize_steps(machine: Machine, states: FloatArray, areas: FloatArray, tan
     if tangent not in ("paper", "full"):
         raise ValueError(f'tangent: found {tangent!r}, expected "paper" or "full"')
     full = tangent == "full"
-    record = machine.record
+    # Arrays of its own: to a kernel, one that may not be written to is another type.
+    record, states, areas = machine.record, np.array(states, order="C"), np.array(areas, order="C")
     _check_domain(machine, states)
     A, B = tangents(states, areas, record, full)
     if not np.isfinite(A).all():
