@@ -192,6 +192,12 @@ class KernelCache(caching._Cache):  # pyright: ignore[reportPrivateUsage] - the 
         """The user's store, None where there is none."""
         return None if self._numbas is None else str(self._numbas.locator.get_cache_path())
 
+    @property
+    def is_kept(self) -> bool:
+        """Whether a store has the kernel, for any signature."""
+        folders = [SHIPPED, *([] if self.cache_path is None else [Path(self.cache_path)])]
+        return any(any(folder.glob(f"{self._base}.*.{self._stamp[:16]}.nbc")) for folder in folders)
+
     def enable(self) -> None:
         """Use the stores."""
         self._enabled = True

@@ -65,12 +65,13 @@ def study(options: argparse.Namespace) -> int:
     _make(options.out)
     # A lazy door: cvxpy takes a second to load, and not every command needs it.
     from ltvpneu.face.study_design import design_text, n_design_parts, run_design
+    from ltvpneu.face.warm import beside
 
     total = n_parts(machine, options.frequency, frequencies)
     switches = not isinstance(machine.valve, ProportionalValve)
     total += n_design_parts(options.frequency) if switches else 0
-    # The first part of the first run takes longest: it compiles the laws.
-    with tqdm(total=total, desc="study", unit="part", leave=False) as bar:
+    # Where the equations have to be compiled, those of the design part are at the same time.
+    with beside("cycles of linear models", "design"), tqdm(total=total, desc="study", unit="part", leave=False) as bar:
         found = run_study(
             machine,
             options.frequency,
@@ -79,11 +80,12 @@ def study(options: argparse.Namespace) -> int:
             grid=frequencies,
             progress=bar.update,
         )
+        # The first tables need not wait for the last.
+        bar.write(study_text(found))
         if switches and any(case.orbits for case in found.cases):
             designed = run_design(machine, options.frequency, bar.update)
         else:
             designed = None
-    print(study_text(found))
     if not any(case.orbits for case in found.cases):
         raise ValueError("no model gave an orbit at any frequency; the reasons stand in the tables above")
     if designed is None:

@@ -4,22 +4,27 @@ import os
 import shutil
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from tqdm import tqdm
 
 import ltvpneu as lp
 from ltvpneu._compiled import kernels
-from ltvpneu._kernel_cache import counts
+from ltvpneu._kernel_cache import KernelCache, counts
 from ltvpneu._telling import be_silent
+from ltvpneu.models.linear.march import march_period
+from ltvpneu.models.nonlinear.integrator import advance
 
 FREQUENCY = 4.0
 """Of the cycles that are computed on the way [Hz]."""
+WAIT, MOST_WAITS = 0.2, 300
+"""How long a process waits at a time for what another one compiles [s], and how often."""
 
 
 class Warmed(NamedTuple):
@@ -72,6 +77,8 @@ def _design(machine: lp.Machine) -> None:
 
     design.optimize_duty(machine, 2 * FREQUENCY, minimize="air_use", mean={"position": (0.04, 0.06)})
     lp.nonlinear_sensitivity(machine, 2 * FREQUENCY, ["duty"])
+    design.air_use(machine, lp.nonlinear_orbit(machine, 2 * FREQUENCY))
+    design.with_air_use(lp.ltv_model(machine, 2 * FREQUENCY))
 
 
 def _periodic_systems(machine: lp.Machine) -> None:
@@ -128,6 +135,32 @@ def warm(jobs: int | None = None) -> Warmed:
             files |= done.result()[2]
             bar.update(1)
     return Warmed(compiled, loaded, time.monotonic() - begin, kernels[0]._cache.cache_path or "", frozenset(files))
+
+
+def _work_later(name: str) -> None:
+    """Do a kind of work once the first orbit has been compiled, by another process: what both need is then on disk."""
+    first: KernelCache = cast(Any, advance)._cache
+    for _ in range(MOST_WAITS):
+        if first.is_kept:
+            break
+        time.sleep(WAIT)
+    work(name, 0)
+
+
+@contextmanager
+def beside(*names: str) -> Generator[None]:
+    """Compile what some kinds of work need in a process beside this one, where it is not on disk yet."""
+    kernel: KernelCache = cast(Any, march_period)._cache
+    if kernel.is_kept or (os.cpu_count() or 1) < 2:
+        yield
+        return
+    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+    for name in names:
+        pool.submit(_work_later, name)
+    try:
+        yield
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
 
 
 def ship(folder: str) -> int:
