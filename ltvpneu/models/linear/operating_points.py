@@ -60,7 +60,7 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
             "load.spring_stiffness: found none, expected one above zero: without a spring no position balances the "
             "pressures (in Python, ltv_model takes the operating points as an array of states)"
         )
-    states = settled_states(areas, machine.record, np.array(machine.rest_state))
+    states = settled_states(np.array(areas, order="C"), machine.record, np.array(machine.rest_state))
     # What the spring does not bear, an end stop does.
     states[:, 0] = np.clip(_balanced(machine, states), machine.cylinder.lower_stop, machine.cylinder.upper_stop)
     return states
@@ -91,7 +91,7 @@ def held_inside(
     used = np.minimum(np.maximum(asked, low), high)
     if machine.has_infinite_slopes:
         supply, exhaust = machine.supply_pressure, machine.exhaust_pressure
-        sources = source_ranges(turn.stairs.areas, machine.record)
+        sources = source_ranges(np.array(turn.stairs.areas, order="C"), machine.record)
         floor = np.where(sources[:, :, 0] == exhaust, exhaust * (1 + least_distance), -np.inf)
         ceiling = np.where(sources[:, :, 1] == supply, supply * (1 - least_distance), np.inf)
         pressures = used[:, 2 : temperatures.start]
@@ -117,7 +117,7 @@ def held_inside(
 
 def _part(machine: Machine, turn: Turn, points: FloatArray, least_distance: float) -> None:
     """Move pressures of volumes that feed each other apart by the least distance, the inner one of a valve first."""
-    for step, areas in enumerate(turn.stairs.areas):
+    for step, areas in enumerate(np.array(turn.stairs.areas, order="C")):
         for k in reversed(range(machine.n_volumes)):
             pressure, column = nearest_source(k, points[step], areas, machine.record)
             apart = points[step, 2 + k] - pressure

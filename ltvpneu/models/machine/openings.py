@@ -45,7 +45,7 @@ class OpeningTable(NamedTuple):
         with np.errstate(invalid="ignore"):
             between = begin + share[..., None, None] * (end - begin)
         # Not interpolated where equal: an absent second restriction is infinite at both ends.
-        return np.where(begin == end, begin, between)
+        return np.ascontiguousarray(np.where(begin == end, begin, between))
 
 
 def opening_table(connections: Sequence[Connection]) -> OpeningTable:
