@@ -1,4 +1,4 @@
-"""How long until the first number: what starting, compiling and loading cost, in CPU seconds of processes of their own."""
+"""How long until the first number: what starting, compiling and loading cost, in CPU seconds of their own processes."""
 
 import os
 import resource
