@@ -68,7 +68,7 @@ def _map_over(marched: Marched, steps: Steps) -> FloatArray:
 
 
 def _attracts(map_: FloatArray) -> bool:
-    return bool(np.max(np.abs(np.linalg.eigvals(map_))) <= SAFE_RADIUS)
+    return bool(np.isfinite(map_).all()) and bool(np.max(np.abs(np.linalg.eigvals(map_))) <= SAFE_RADIUS)
 
 
 def _inverse_of_steps(map_: FloatArray) -> FloatArray | None:
@@ -116,10 +116,10 @@ def _may_leap(begin: FloatArray, move: FloatArray, tolerance: float) -> bool:
 
 
 class _Leaps:
-    """The search for the cycle's start among those of the periods marched: whether it goes on, and from where."""
+    """The search for the start of the cycle: how far to leap from the start of the period marched last."""
 
-    def __init__(self, origin: FloatArray, tolerance: float) -> None:
-        self.origin, self.tolerance = origin, tolerance
+    def __init__(self, origin: FloatArray) -> None:
+        self.origin = origin
         """Where the march goes on from if leaps are taken back."""
         self.count, self.size = 0, math.inf
         """Leaps tried, below zero once they are given up, and the largest part of the last."""
@@ -132,10 +132,7 @@ class _Leaps:
         return self.origin.copy()
 
     def next(self, begin: FloatArray, marched: Marched, steps: Steps) -> FloatArray | None:
-        """Return a leap to the cycle's start, none of which is longer than asked for where it is found.
-
-        None where the steps' maps say nothing.
-        """
+        """Return how far to move the start of the period, (n,); None where the steps' maps do not tell."""
         n = begin.size - 1
         left = marched.state[:n] - begin[:n]
         if self.count > 0 and self.inverse is not None:
@@ -157,7 +154,7 @@ def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, 
     """March valve periods from a scaled augmented state until the state repeats, after one or more of them."""
     n, ring, own = start.size - 1, MAX_SUBHARMONIC + 1, plan.copy()
     history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
-    begin, leaps = start.copy(), _Leaps(start.copy(), tolerance)
+    begin, leaps = start.copy(), _Leaps(start.copy())
     history[0] = begin[:n]
     done, n_marched, best = 0, 0, math.inf
     while True:
