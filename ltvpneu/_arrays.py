@@ -3,6 +3,7 @@
 import inspect
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -108,18 +109,21 @@ def _of(unit: str) -> str:
     return f" {unit}" if unit else ""
 
 
-def layout(record: type) -> np.dtype[Any]:
+@cache
+def layout(record: type, **given: np.dtype[Any]) -> np.dtype[Any]:
     """Return the memory layout of a record: of a class whose fields are annotated.
 
     Fields are numbers, `bool`, or records themselves; `Annotated[Sequence[Field], n]` is an array of n of them, and
-    `Annotated[FloatArray, m, n]` one of m times n numbers.
+    `Annotated[FloatArray, m, n]` one of m times n numbers. Fields may be given by name, with a layout of another kind.
     """
     fields: list[Any] = []
     hints = get_type_hints(record, include_extras=True)
     # A derived class's own fields first: numba takes a record that begins like another for that other.
     for name in dict.fromkeys(name for base in record.__mro__ for name in inspect.get_annotations(base)):
         hint = hints[name]
-        if get_origin(hint) is Annotated:
+        if name in given:
+            fields.append((name, given[name]))
+        elif get_origin(hint) is Annotated:
             base, *shape = get_args(hint)
             element = float if base == FloatArray else get_args(base)[0]
             fields.append((name, _field(element), tuple(shape)))

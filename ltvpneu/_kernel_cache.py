@@ -19,14 +19,14 @@ import types as python
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
-from numba.core import caching
+from numba.core import caching, types
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
@@ -116,21 +116,15 @@ def _values_read(function: python.FunctionType) -> list[Any]:
     return found
 
 
-_known: dict[python.FunctionType, str] = {}
-
-
+@cache
 def own_hash(function: python.FunctionType) -> str:
     """Return a hash of a function's own bytecode and of the constants that it reads."""
-    if function not in _known:
-        parts: list[str] = [function.__qualname__, repr(OPTIONS.get(function))]
-        for code in _codes(function.__code__):
-            constants = [
-                repr(c) for c in code.co_consts if not isinstance(c, python.CodeType) and c != function.__doc__
-            ]
-            parts += [code.co_code.hex(), *constants, *code.co_names, *code.co_varnames]
-        parts += [_constant(value) for value in _values_read(function)]
-        _known[function] = hashlib.sha256("\n".join(parts).encode()).hexdigest()
-    return _known[function]
+    parts: list[str] = [function.__qualname__, repr(OPTIONS.get(function))]
+    for code in _codes(function.__code__):
+        constants = [repr(c) for c in code.co_consts if not isinstance(c, python.CodeType) and c != function.__doc__]
+        parts += [code.co_code.hex(), *constants, *code.co_names, *code.co_varnames]
+    parts += [_constant(value) for value in _values_read(function)]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def _constant(value: Any) -> str:
@@ -180,7 +174,7 @@ class KernelCache(caching._Cache):  # pyright: ignore[reportPrivateUsage] - the 
         try:
             return caching.CompileResultCacheImpl(self._function)
         except RuntimeError:
-            _warn_once()
+            _warn_of_no_place()
             return None
 
     @cached_property
@@ -218,7 +212,7 @@ class KernelCache(caching._Cache):  # pyright: ignore[reportPrivateUsage] - the 
 
     def _name(self, signature: Any, processor: tuple[str, ...]) -> tuple[str, str]:
         """Return the file's name up to what it was compiled from, and the whole."""
-        asked = hashlib.sha256(repr((str(signature), processor, COMPILER[-1])).encode()).hexdigest()[:16]
+        asked = hashlib.sha256(repr((_types(signature), processor, COMPILER[-1])).encode()).hexdigest()[:16]
         return f"{self._base}.{asked}.", f"{self._base}.{asked}.{self._stamp[:16]}.nbc"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -256,26 +250,35 @@ class KernelCache(caching._Cache):  # pyright: ignore[reportPrivateUsage] - the 
                     path.unlink(missing_ok=True)
         except OSError:
             part.unlink(missing_ok=True)
-            _warn_once()
+            _warn_of_no_place()
+
+
+def _types(signature: Any) -> str:
+    """Return what tells the types of arguments from others.
+
+    To numba's name of a named tuple belong the fields in their order: by that a kernel reads them.
+    """
+    parts = [str(signature)]
+    for kind in signature:
+        if isinstance(kind, types.BaseTuple):
+            parts += [repr(getattr(kind, "fields", ())), _types(kind)]
+    return " ".join(parts)
 
 
 def _read(path: Path) -> Any:
-    """Return what a file of a store holds; None where it is missing, or was cut short."""
+    """Return what a file of a store holds; None where it is missing or damaged, whatever way."""
     try:
         return pickle.loads(path.read_bytes())
-    except (OSError, EOFError, pickle.UnpicklingError):
+    except Exception:
         return None
 
 
-_warned = threading.Event()
-
-
-def _warn_once() -> None:
-    if not _warned.is_set():
-        _warned.set()
-        warnings.warn(
-            "compiled kernels cannot be kept: found no folder for them that can be written to. Every process compiles "
-            "them anew, which takes up to minutes; set NUMBA_CACHE_DIR to a folder of yours",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+@cache
+def _warn_of_no_place() -> None:
+    """Warn, once in a process, that no kernel can be kept."""
+    warnings.warn(
+        "compiled kernels cannot be kept: found no folder for them that can be written to. Every process compiles "
+        "them anew, which takes up to minutes; set NUMBA_CACHE_DIR to a folder of yours",
+        RuntimeWarning,
+        stacklevel=2,
+    )

@@ -38,19 +38,18 @@ class _Told:
             return
         if self.depth == 0:
             if self.last:
-                self._write(f"compiled the machine's equations: {done} parts in {elapsed:.0f} s", "\n")
+                self._write(f"compiled the machine's equations: {done} parts in {elapsed:.0f} s", is_last=True)
         elif now - self.last > (0.1 if on_terminal else BETWEEN):
             self.last = now
-            left = sum(not other.signatures for other in kernels_reached(*self.outermost))
-            self._write(f"compiling the machine's equations, once: {done} of {done + left}, {elapsed:.0f} s", "")
+            # The outermost comes last.
+            left = 1 + sum(not other.signatures for other in kernels_reached(*self.outermost))
+            self._write(f"compiling the machine's equations, once: {done} of {done + left}, {elapsed:.0f} s")
 
     @staticmethod
-    def _write(text: str, end: str) -> None:
-        if sys.stderr.isatty():
-            sys.stderr.write(f"\r{text:<79}{end}")
-        else:
-            sys.stderr.write(f"{text}\n")
-        sys.stderr.flush()
+    def _write(text: str, is_last: bool = False) -> None:
+        on_terminal = sys.stderr.isatty()
+        line = f"\r{text:<79}" if on_terminal else text
+        print(line, end="" if on_terminal and not is_last else "\n", file=sys.stderr, flush=True)
 
 
 _told = _Told()

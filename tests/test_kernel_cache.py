@@ -92,6 +92,50 @@ def test_comments_line_numbers_and_times_of_files_do_not_count(laws):
     assert ask(laws)[0] == "19.0 2.0 2 1 0"
 
 
+SIDE = """
+from typing import NamedTuple
+from ltvpneu._compiled import compiled
+
+class Side(NamedTuple):
+    pressure: float
+    temperature: float
+
+@compiled
+def difference(side: Side) -> float:
+    return side.pressure - side.temperature
+"""
+ASK_SIDE = """
+from laws.side import Side, difference
+from ltvpneu._kernel_cache import counts
+print(difference(Side(pressure=3.0, temperature=1.0)), counts.compiled)
+"""
+
+
+def test_fields_that_change_places_in_an_argument_are_seen(laws):
+    (laws / "side.py").write_text(SIDE)
+    assert ask(laws, ASK_SIDE)[0] == "2.0 1"
+    edit(
+        laws / "side.py",
+        "    pressure: float\n    temperature: float\n",
+        "    temperature: float\n    pressure: float\n",
+    )
+    assert ask(laws, ASK_SIDE)[0] == "2.0 1"
+
+
+TOLD = "import ltvpneu._telling as told\ntold.SILENT = told.BETWEEN = 0.0\n"
+
+
+def test_compiling_is_told_and_what_is_found_is_not(laws):
+    out, said = ask(laws, TOLD + ASK)
+    assert out == "7.0 2.0 4 0 0"
+    # Two kernels, one after the other, each with the law that it calls.
+    assert list(dict.fromkeys(said.splitlines())) == [
+        "compiling the machine's equations, once: 1 of 2, 0 s",
+        "compiled the machine's equations: 2 parts in 0 s",
+    ]
+    assert ask(laws, TOLD + ASK) == ("7.0 2.0 0 2 0", "")
+
+
 @pytest.mark.parametrize("place", ["NUMBA_CACHE_DIR", "XDG_CACHE_HOME"])
 def test_kernels_are_kept_where_the_package_cannot_be_written_to(laws, tmp_path, place):
     if place == "XDG_CACHE_HOME" and sys.platform != "linux":

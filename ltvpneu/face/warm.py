@@ -2,9 +2,11 @@
 
 import os
 import shutil
+import subprocess
+import sys
 import time
 import warnings
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import get_context
@@ -108,21 +110,24 @@ def work(name: str, number: int) -> tuple[int, int, set[str]]:
     be_silent()
     before = counts.compiled, counts.loaded + counts.shipped
     counts.names.clear()
+    # Done for its kernels alone: what the models warn of is no news here.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         WORK[name](_machines()[number])
     return counts.compiled - before[0], counts.loaded + counts.shipped - before[1], set(counts.names)
 
 
-def warm(jobs: int | None = None) -> Warmed:
-    """Compile all that the public names need, and keep it on disk.
+def warm(jobs: int | None = None, names: Sequence[str] = tuple(WORK)) -> Warmed:
+    """Compile what the public names need, and keep it on disk.
 
     Parameters
     ----------
     jobs : int, optional
         Processes at work; by default as many as there are cores.
+    names : sequence of str
+        Kinds of work, of `WORK`; by default all.
     """
-    begin, tasks = time.monotonic(), [(name, number) for number in range(len(_machines())) for name in WORK]
+    begin, tasks = time.monotonic(), [(name, number) for number in range(len(_machines())) for name in names]
     jobs = jobs or os.cpu_count() or 1
     compiled, loaded, files = 0, 0, set[str]()
     # Started afresh: a process that is forked takes over the threads' locks as they stand.
@@ -137,30 +142,35 @@ def warm(jobs: int | None = None) -> Warmed:
     return Warmed(compiled, loaded, time.monotonic() - begin, kernels[0]._cache.cache_path or "", frozenset(files))
 
 
-def _work_later(name: str) -> None:
-    """Do a kind of work once the first orbit has been compiled, by another process: what both need is then on disk."""
+def work_later(*names: str) -> None:
+    """Do kinds of work once the first orbit has been compiled by another process: what both need is then on disk."""
     first: KernelCache = cast(Any, advance)._cache
     for _ in range(MOST_WAITS):
         if first.is_kept:
             break
         time.sleep(WAIT)
-    work(name, 0)
+    for name in names:
+        work(name, 0)
 
 
 @contextmanager
 def beside(*names: str) -> Generator[None]:
-    """Compile what some kinds of work need in a process beside this one, where it is not on disk yet."""
+    """Compile what some kinds of work need in a process beside this one, where it is not on disk yet.
+
+    The process ends with what it is beside; what it has compiled by then is kept.
+    """
     kernel: KernelCache = cast(Any, march_period)._cache
     if kernel.is_kept or (os.cpu_count() or 1) < 2:
         yield
         return
-    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-    for name in names:
-        pool.submit(_work_later, name)
-    try:
-        yield
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+    code = f"from ltvpneu.face.warm import work_later; work_later(*{names!r})"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
 
 
 def ship(folder: str) -> int:

@@ -10,7 +10,8 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, IntArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.linear.march import Plan, Steps, march_period
+from ltvpneu.models.linear.march import march_period
+from ltvpneu.models.linear.plan import Plan, Steps
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.openings import PIECE, write_areas
 from ltvpneu.models.machine.supply_flow import source_flow

@@ -22,9 +22,10 @@ from ltvpneu.errors import NonUniqueOrbitError, NotConvergedError
 from ltvpneu.models.cycles.cells import Cells, Probes, Turn, march_cells
 from ltvpneu.models.cycles.figures import CycleFigures, Figure, Slopes
 from ltvpneu.models.cycles.turns import STATE_STEP, TOLERANCE
-from ltvpneu.models.linear.march import Plan, Steps, march_period
+from ltvpneu.models.linear.march import march_period
 from ltvpneu.models.linear.model import LtvModel
-from ltvpneu.models.linear.own_cycle import Found, Question, as_model, new_steps, together, trajectory_of_steps
+from ltvpneu.models.linear.own_cycle import Found, Question, as_model, trajectory_of_steps
+from ltvpneu.models.linear.plan import Plan, Steps, new_steps, together
 from ltvpneu.models.linear.repeat import Repeated
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.machine import Machine
@@ -63,7 +64,7 @@ class LinearCycle(Value):
         """The linear steps of every turn."""
         state, found = self.repeated.start, list[Steps]()
         for _ in range(self.n_turns):
-            steps = new_steps(self.question, self.cells)
+            steps = new_steps(self.plan)
             marched = march_period(state, self.plan.copy(), steps)
             found.append(steps.cut_to(marched.n_steps))
             state = marched.state
@@ -206,7 +207,7 @@ class _Differences:
 
     def __init__(self, cycle: LinearCycle, probes: Probes, with_flow: bool, durations: FloatArray) -> None:
         self.cycle, self.probes, self.with_flow, self.durations = cycle, probes, with_flow, durations
-        self.steps = new_steps(cycle.question, cycle.cells)
+        self.steps = new_steps(cycle.plan)
         start = np.tile(cycle.repeated.start, (durations.size, 1))
         self.base = self._march(cycle.plan, start, durations, True)
         self.K = probes.cells.size

@@ -11,7 +11,8 @@ from ltvpneu.models.cycles.figures import CycleFigures, Figure
 from ltvpneu.models.cycles.linear_cycle import LinearCycle
 from ltvpneu.models.cycles.turns import TOLERANCE
 from ltvpneu.models.linear.operating_points import LEAST_DISTANCE
-from ltvpneu.models.linear.own_cycle import OwnCycle, Question, new_steps
+from ltvpneu.models.linear.own_cycle import OwnCycle, Question
+from ltvpneu.models.linear.plan import new_steps
 from ltvpneu.models.linear.repeat import Repeated, repeat_march
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import STEP, around, is_angle, with_values
@@ -81,7 +82,7 @@ class LinearCycles:
         question = self.question(values)
         cells = self.cells_of(question.machine)
         plan = question.plan(cells, TOLERANCE)
-        steps = new_steps(question, cells)
+        steps = new_steps(plan)
 
         def from_start(start: FloatArray) -> Repeated:
             return repeat_march(np.append(start / plan.scales, 1.0), plan, steps, 10 * TOLERANCE, MOST_PERIODS)

@@ -28,7 +28,8 @@ from ltvpneu.models.cycles.turns import (
     slopes_along_turn,
 )
 from ltvpneu.models.linear.model import LtvModel
-from ltvpneu.models.linear.own_cycle import MAX_PERIODS, Found, new_steps, retabled, trajectory_of_steps
+from ltvpneu.models.linear.own_cycle import MAX_PERIODS, Found, retabled, trajectory_of_steps
+from ltvpneu.models.linear.plan import new_steps
 from ltvpneu.models.linear.repeat import repeat_march
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import present_value
@@ -127,7 +128,8 @@ def parameter_sensitivity(model: LtvModel, parameters: Sequence[str] = PARAMETER
         end, parts = march_beside(start, question, cells, n_periods)
         return end, trajectory_of_steps(machine, parts)
 
-    plan, steps = found.question.plan(found.cells, TOLERANCE), new_steps(found.question, found.cells)
+    plan = found.question.plan(found.cells, TOLERANCE)
+    steps = new_steps(plan)
     start = np.append(model.orbit.initial_state / scales, 1.0)
     tight = repeat_march(start, plan, steps, 10 * TOLERANCE, MAX_PERIODS)
     if tight.n_periods == 0:

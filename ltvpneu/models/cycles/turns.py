@@ -7,8 +7,9 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.errors import NotConvergedError
-from ltvpneu.models.linear.march import Steps, march_period
-from ltvpneu.models.linear.own_cycle import Question, new_steps
+from ltvpneu.models.linear.march import march_period
+from ltvpneu.models.linear.own_cycle import Question
+from ltvpneu.models.linear.plan import Steps, new_steps
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.machine.parameters import STEP, around, present_value, with_values
@@ -53,7 +54,8 @@ def march_beside(
     NotConvergedError
         The march did not come through.
     """
-    plan, steps = question.plan(cells, TOLERANCE), new_steps(question, cells)
+    plan = question.plan(cells, TOLERANCE)
+    steps = new_steps(plan)
     scales = question.machine.state_scales
     state, parts = np.append(start / scales, 1.0), list[Steps]()
     for _ in range(n_periods):

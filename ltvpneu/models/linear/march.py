@@ -12,21 +12,20 @@ between both ends is the step's local error.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ltvpneu._arrays import FloatArray, IntArray
+from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import by_field, compiled, inlined
 from ltvpneu.models.linear.fit import Visited, fit_visited, mean_visited
+from ltvpneu.models.linear.plan import Plan, Steps
 from ltvpneu.models.machine.chord import Tangent, augmented, come_to_rest, tangent_at
 from ltvpneu.models.machine.dynamics import STUCK, chamber_volume
-from ltvpneu.models.machine.openings import Pieces
 from ltvpneu.models.machine.piston import after_event, at_stop, is_pressed, margin_at, mode_of
 from ltvpneu.models.machine.records import GeneralRecord, MachineRecord, temperature_place
 from ltvpneu.models.nonlinear.integrator import OK, advance, new_log, new_workspace
-from ltvpneu.models.nonlinear.runge_kutta import Run, RunRecord, Workspace, copy
+from ltvpneu.models.nonlinear.runge_kutta import Workspace, copy
 from ltvpneu.periodic.small import advanced, apply, exponential, solve
 from ltvpneu.physics.liquid import vapor_pressure
 from ltvpneu.physics.properties import LIQUID
@@ -38,78 +37,6 @@ LEAST_SHARE = 0.01
 """Share of a dead volume, and of the supply pressure, below which a linear step has left the equations' domain [-]."""
 MAX_EVENTS = 200
 """Steps that a cell may be cut into by stick and slip."""
-
-
-class PlanRecord:
-    """How steps are marched, as the compiled kernels read it."""
-
-    fitted: bool
-    """Whether steps are fitted; else tangents at their own means."""
-    distance: float
-    """As of `tangent_at`."""
-    tolerance: float
-    """Scaled difference from a step's means at which its operating point counts as found."""
-    max_iterations: int
-    run: RunRecord
-    """The nonlinear equations."""
-
-
-class Plan(NamedTuple):
-    """What is marched through, and how."""
-
-    records: NDArray[Any]
-    """One `PlanRecord`, shape (1,)."""
-    pieces: Pieces
-    """They end at the boundaries of cells at least."""
-    first_pieces: IntArray
-    """First piece of each cell, and the number of pieces, (n_cells + 1,)."""
-    areas: FloatArray
-    """Means of the effective areas over each cell, (n_cells, 2, n_paths)."""
-    scales: FloatArray
-    """(n,)"""
-
-    def copy(self) -> "Plan":
-        """Return a plan with a record of its own: a march notes its progress there."""
-        return self._replace(records=self.records.copy())
-
-
-def new_plan(run: Run, first_pieces: IntArray, areas: FloatArray, scales: FloatArray, **how: float) -> Plan:
-    """Return a plan; `how` holds the numbers of its record, by name."""
-    numbers = [("fitted", np.bool_), ("distance", np.float64), ("tolerance", np.float64), ("max_iterations", np.int64)]
-    records = np.zeros(1, np.dtype([*numbers, ("run", run.records.dtype)], align=True))
-    records["run"] = run.records
-    for name, value in how.items():
-        records[name] = value
-    return Plan(records, run.pieces, first_pieces, areas, np.array(scales))
-
-
-class Steps(NamedTuple):
-    """The steps of one period."""
-
-    matrices: FloatArray
-    """Scaled augmented matrices, (capacity, n + 1, n + 1)."""
-    starts: FloatArray
-    """Scaled augmented states, (capacity, n + 1)."""
-    points: FloatArray
-    """Operating points, (capacity, n)."""
-    inputs: FloatArray
-    """Slopes over the inputs, (capacity, n, 4)."""
-    held: FloatArray
-    """Half-widths of chords, (capacity, n)."""
-    cells: IntArray
-    """The cell that each belongs to, (capacity,)."""
-    modes: IntArray
-    """Modes of the piston."""
-    durations: FloatArray
-    """[s]"""
-    errors: FloatArray
-    """Local errors [-]."""
-    iterations: IntArray
-    """Of the search for the operating point."""
-
-    def cut_to(self, count: int) -> "Steps":
-        """Return the first so many steps."""
-        return Steps._make(part[:count].copy() for part in self)
 
 
 class Marched(NamedTuple):
@@ -319,13 +246,13 @@ def _visit(piece: int, end: float, plan: Plan, space: Workspace, log: FloatArray
     Returns the piece reached, and the log.
     """
     run = plan.records[0].run
-    run.progress.status, run.progress.steps, run.progress.n_logged = OK, 0, 0
+    run.progress.status, run.progress.n_logged = OK, 0
     while True:
+        run.progress.steps = 0
         until = min(end, plan.pieces[piece].end)
         log = advance(until, plan.pieces[piece], run, space, log)
         if run.progress.status != OK or run.progress.kind >= 0 or until >= end:
             return piece, log
-        run.progress.steps = 0
         piece += 1
 
 

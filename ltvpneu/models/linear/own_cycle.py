@@ -19,15 +19,15 @@ from ltvpneu._values import Value
 from ltvpneu.errors import NotConvergedError
 from ltvpneu.models.linear.cuts import cuts_by_error, even_cuts
 from ltvpneu.models.linear.linearize import Linearization
-from ltvpneu.models.linear.march import NOT_CONVERGED, Marched, Plan, Steps, march_period, new_plan
+from ltvpneu.models.linear.march import NOT_CONVERGED, Marched, march_period
 from ltvpneu.models.linear.model import HeldBack, LtvModel, assemble
+from ltvpneu.models.linear.plan import Plan, Steps, new_plan, new_steps, together
 from ltvpneu.models.linear.repeat import Repeated, repeat_march
 from ltvpneu.models.linear.staircase import default_steps, staircase
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import OpeningTable, cut_pieces
 from ltvpneu.models.machine.quasi_static import nearest_source
-from ltvpneu.models.machine.records import N_INPUTS
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.rest import AT_EDGE, rests_in_a_band, what_holds
 from ltvpneu.models.nonlinear.runge_kutta import new_run
@@ -173,7 +173,7 @@ def find_cycle(question: Question, n_steps: int, spacing: Spacing, found: Found 
 
 def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Found:
     machine, plan = question.machine, question.plan(cells)
-    steps = new_steps(question, cells)
+    steps = new_steps(plan)
     # Where the piston rests depends on how it came there, so a cycle with rest is marched to from the machine's rest.
     if before is None or before.sticks or before.repeated.n_periods > 1:
         start = np.append(machine.rest_state / plan.scales, 1.0)
@@ -198,23 +198,6 @@ def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Fo
         repeated=repeated,
         periods=tuple(periods),
         iterations=iterations,
-    )
-
-
-def new_steps(question: Question, cells: FloatArray) -> Steps:
-    """Return arrays for the steps of a period, with room for cuts by events."""
-    n, capacity = len(question.machine.states), 2 * cells.size + 256
-    return Steps(
-        matrices=np.empty((capacity, n + 1, n + 1)),
-        starts=np.empty((capacity, n + 1)),
-        points=np.empty((capacity, n)),
-        inputs=np.empty((capacity, n, N_INPUTS)),
-        held=np.zeros((capacity, n)),
-        cells=np.empty(capacity, dtype=np.int64),
-        modes=np.empty(capacity, dtype=np.int64),
-        durations=np.empty(capacity),
-        errors=np.empty(capacity),
-        iterations=np.empty(capacity, dtype=np.int64),
     )
 
 
@@ -248,11 +231,6 @@ def _raise_not_found(question: Question, repeated: Repeated, iterations: int, n_
         )
     state = marched.state[:-1] * question.machine.state_scales
     raise_stopped(question.machine, marched.status, marched.time, state)
-
-
-def together(periods: Sequence[Steps]) -> Steps:
-    """Return the steps of several valve periods as one."""
-    return Steps._make(np.concatenate(parts) for parts in zip(*periods, strict=True))
 
 
 def trajectory_of_steps(machine: Machine, periods: Sequence[Steps]) -> ExponentialTrajectory:

@@ -13,7 +13,8 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.linear.march import Marched, Plan, Steps, march_period
+from ltvpneu.models.linear.march import Marched, march_period
+from ltvpneu.models.linear.plan import Plan, Steps
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.settle import MAX_SUBHARMONIC, ROUNDING, is_settled, largest_change

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, cast, final
+from typing import Any, final
 
 import numpy as np
 
@@ -36,13 +36,14 @@ from ltvpneu.models.machine.records import (
     MachineRecord,
     PathFields,
     VolumeFields,
+    filled,
 )
 from ltvpneu.physics.cylinder import ATMOSPHERE, Cylinder
 from ltvpneu.physics.gas import Gas, GasState
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
-from ltvpneu.physics.medium import LAMINAR, MAX_TABLE, Medium, check_process, warn_if_cold
+from ltvpneu.physics.medium import LAMINAR, MAX_TABLE, Medium, MediumFields, check_process, warn_if_cold
 from ltvpneu.physics.proportional import Command, ProportionalValve
 from ltvpneu.physics.real_gas import RealGas
 from ltvpneu.physics.thermal import EnergyBalance
@@ -395,38 +396,34 @@ class Machine(Value):
         """The machine as the compiled kernels read it: a numpy record of the layout `PLAIN` or `GENERAL`."""
         return self.as_record(PLAIN if self.is_plain else GENERAL)
 
-    def as_record(self, layout: np.dtype[Any]) -> MachineRecord:
+    def as_record(self, kind: np.dtype[Any]) -> MachineRecord:
         """Return the machine as a record of a layout; every machine fits `GENERAL`."""
         c, load, gas = self.cylinder, self.load, self.gas
-        found = np.zeros(1, layout)
-        found["gas"] = gas.constants
-        found["load"] = LoadFields(
-            mass=load.mass,
-            spring_stiffness=load.spring_stiffness,
-            viscous_damping=load.viscous_damping,
-            dry_friction=load.dry_friction,
-            stiction=load.stiction,
-            force=load.force,
-            ambient_push_area=c.ambient_push_area,
-            ambient_pressure=self.ambient_pressure,
-            lower_stop=c.lower_stop,
-            upper_stop=c.upper_stop,
-        )
-        found["supply"] = GasState(self.supply_pressure, gas.temperature)
-        found["exhaust"] = GasState(self.exhaust_pressure, gas.temperature)
-        for name, fields in (("volumes", self.volume_fields), ("paths", self.path_fields)):
-            found[f"n_{name}"] = len(fields)
-            found[name][0, : len(fields)] = list(fields)
-        if layout == GENERAL:
-            medium = found["medium"]
-            medium["kind"], medium["laminar"], medium["gas"] = (
-                gas.kind,
-                0.0 if self.is_plain else LAMINAR,
-                gas.constants,
-            )
-            medium["table"][0, : gas.table.size] = gas.table
-        found.setflags(write=False)
-        return cast(MachineRecord, found[0])
+        values: dict[str, Any] = {
+            "gas": gas.constants,
+            "load": LoadFields(
+                mass=load.mass,
+                spring_stiffness=load.spring_stiffness,
+                viscous_damping=load.viscous_damping,
+                dry_friction=load.dry_friction,
+                stiction=load.stiction,
+                force=load.force,
+                ambient_push_area=c.ambient_push_area,
+                ambient_pressure=self.ambient_pressure,
+                lower_stop=c.lower_stop,
+                upper_stop=c.upper_stop,
+            ),
+            "supply": GasState(self.supply_pressure, gas.temperature),
+            "exhaust": GasState(self.exhaust_pressure, gas.temperature),
+            "volumes": list(self.volume_fields),
+            "paths": list(self.path_fields),
+        }
+        if kind == GENERAL:
+            table = np.zeros(MAX_TABLE)
+            table[: gas.table.size] = gas.table
+            laminar = 0.0 if self.is_plain else LAMINAR
+            values["medium"] = MediumFields(gas.kind, laminar, gas.constants, table)
+        return filled(kind, values)
 
     @cached_property
     def has_infinite_slopes(self) -> bool:

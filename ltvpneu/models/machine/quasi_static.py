@@ -7,7 +7,7 @@ import numpy as np
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray
 from ltvpneu._compiled import by_field, compiled
 from ltvpneu.models.machine.dynamics import flow_into, gas_at_source, gas_in_volume
-from ltvpneu.models.machine.records import GeneralRecord, MachineRecord, source_state, temperature_place
+from ltvpneu.models.machine.records import SUPPLY, GeneralRecord, MachineRecord, source_state, temperature_place
 
 MAX_SWEEPS = 500
 """Passes over volumes whose balances depend on each other's, or on a temperature; each closes in by a factor."""
@@ -49,7 +49,7 @@ def nearest_source(k: int, state: FloatArray, areas: FloatArray, machine: Machin
 
     A column of the state, `SUPPLY` or `EXHAUST`; infinity where the volume is shut.
     """
-    nearest, column = math.inf, -1
+    nearest, column = math.inf, SUPPLY
     for path in range(machine.n_paths):
         into, other = machine.paths[path].volume, machine.paths[path].source
         if not is_open(path, areas) or (into != k and other != k):

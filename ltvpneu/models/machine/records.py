@@ -5,8 +5,10 @@ machine: the paper's, and the general one, whose record has a medium beside. Wha
 compiled when one is used.
 """
 
-from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, NamedTuple, cast
+
+import numpy as np
 
 from ltvpneu._arrays import layout
 from ltvpneu._compiled import by_field, inlined
@@ -90,6 +92,21 @@ class GeneralRecord(MachineRecord):
 
 
 PLAIN, GENERAL = layout(MachineRecord), layout(GeneralRecord)
+
+
+def filled(kind: np.dtype[Any], values: Mapping[str, Any]) -> MachineRecord:
+    """Return a record of a layout, with values by name; of arrays, as many as there are, and their number."""
+    found = np.zeros(1, kind)
+    for name, value in values.items():
+        if isinstance(value, list):
+            items: list[Any] = value
+            found[f"n_{name}"] = len(items)
+            found[name][0, : len(items)] = items
+        else:
+            found[name] = value
+    found.setflags(write=False)
+    # The type is that which kernels see; from Python its fields are read by their names in brackets.
+    return cast(MachineRecord, found[0])
 
 
 def _general_place(k: int, machine: GeneralRecord) -> int:

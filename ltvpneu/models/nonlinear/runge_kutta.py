@@ -5,7 +5,6 @@ classical method of fourth order, whose interpolant is the cubic through both st
 """
 
 import math
-from functools import cache
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -73,6 +72,14 @@ class RunRecord:
     progress: Progress
 
 
+class FixedRun:
+    """A run with a fixed step, as far as the kernels of that method read it."""
+
+    machine: MachineRecord
+    settings: FixedSettings
+    progress: Progress
+
+
 class Run(NamedTuple):
     """What is integrated, and how."""
 
@@ -81,17 +88,10 @@ class Run(NamedTuple):
     pieces: Pieces
 
 
-@cache
-def run_layout(machine: np.dtype[Any], settings: type) -> np.dtype[Any]:
-    """Return the layout of a `RunRecord` for a type of machine and of settings."""
-    fields = [("machine", machine), ("settings", layout(settings)), ("period", np.float64)]
-    return np.dtype([*fields, ("progress", layout(Progress))], align=True)
-
-
 def new_run(machine: MachineRecord, settings: Settings, pieces: Pieces) -> Run:
     """Return a run of a machine through the pieces of its valve period."""
     record: Any = machine
-    records = np.zeros(1, run_layout(record.dtype, type(settings)))
+    records = np.zeros(1, layout(RunRecord, machine=record.dtype, settings=layout(type(settings))))
     records["machine"], records["period"] = record, pieces["end"][-1]
     for name, value in settings._asdict().items():
         target = records["settings"][name]
@@ -171,7 +171,7 @@ def _adaptive_step(h: float, piece: PieceRecord, run: RunRecord, space: Workspac
     return worst
 
 
-def _fixed_step(h: float, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
+def _fixed_step(h: float, piece: PieceRecord, run: FixedRun, space: Workspace) -> float:
     """Take one classical Runge-Kutta step of fourth order; return 0, or infinity as `_adaptive_step`.
 
     The interpolant is the cubic through both states and rates.
@@ -198,7 +198,7 @@ def _fixed_step(h: float, piece: PieceRecord, run: RunRecord, space: Workspace) 
     return 0.0
 
 
-try_step = by_field("settings.rtol", "run", _adaptive_step, _fixed_step)
+try_step = by_field("settings.longest", "run", _fixed_step, _adaptive_step)
 """Try a step of the run's method, from its present time; return its scaled error, accepted up to one."""
 
 
@@ -206,11 +206,11 @@ def _controls_steps(run: RunRecord) -> bool:
     return True
 
 
-def _keeps_steps(run: RunRecord) -> bool:
+def _keeps_steps(run: FixedRun) -> bool:
     return False
 
 
-is_adaptive = by_field("settings.rtol", "run", _controls_steps, _keeps_steps)
+is_adaptive = by_field("settings.longest", "run", _keeps_steps, _controls_steps)
 """Whether the run's method chooses its steps by their error."""
 
 
@@ -247,13 +247,13 @@ def _first_length(piece: PieceRecord, run: RunRecord, space: Workspace) -> float
     return min(0.5 * tau * (100.0 / (rate * tau)) ** 0.2, period)
 
 
-def _fixed_length(piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
+def _fixed_length(piece: PieceRecord, run: FixedRun, space: Workspace) -> float:
     """Length of the fixed-step method's steps in a piece, a whole number of which fill it [s]."""
-    length, longest = piece.end - piece.begin, run.settings.longest  # type: ignore[attr-defined]
+    length, longest = piece.end - piece.begin, run.settings.longest
     return length / math.ceil(length / longest * (1.0 - 1e-12))
 
 
-first_length = by_field("settings.rtol", "run", _first_length, _fixed_length)
+first_length = by_field("settings.longest", "run", _fixed_length, _first_length)
 """Length of the first step in a piece, or after an event [s]."""
 
 
