@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray, finite_array
+from ltvpneu._arrays import FloatArray, finite_array, read_only
 from ltvpneu._values import Value
 
 TURN = 2 * math.pi
@@ -56,6 +56,14 @@ class Profile(Value):
         level = np.array([value])
         return Profile(angles=np.array([0.0, TURN]), starts=level, ends=level)
 
+    @staticmethod
+    def _derived(angles: FloatArray, starts: FloatArray, ends: FloatArray) -> "Profile":
+        """Return a profile made from others, which were checked: a machine is made of dozens."""
+        made = object.__new__(Profile)
+        for name, array in (("angles", angles), ("starts", starts), ("ends", ends)):
+            object.__setattr__(made, name, read_only(array))
+        return made
+
     def at(self, angle: float) -> float:
         """Return the value at an angle [rad]; where the profile jumps, the value just after."""
         angle = angle % TURN
@@ -87,16 +95,16 @@ class Profile(Value):
             share = np.clip((at - left) / width, 0.0, 1.0)
             return self.starts[piece] + share * rise
 
-        return Profile(angles=merged, starts=values(merged[:-1]), ends=values(merged[1:]))
+        return Profile._derived(merged, values(merged[:-1]), values(merged[1:]))
 
     def scaled(self, factor: float) -> "Profile":
-        """Return the profile times a factor, zero or more."""
-        return Profile(angles=self.angles, starts=factor * self.starts, ends=factor * self.ends)
+        """Return the profile times a finite factor, zero or more."""
+        return Profile._derived(self.angles, factor * self.starts, factor * self.ends)
 
     def plus(self, other: "Profile") -> "Profile":
         """Return the sum of two profiles."""
         a, b = self.refined(other.angles), other.refined(self.angles)
-        return Profile(angles=a.angles, starts=a.starts + b.starts, ends=a.ends + b.ends)
+        return Profile._derived(a.angles, a.starts + b.starts, a.ends + b.ends)
 
     def minimum(self, other: "Profile") -> "Profile":
         """Return the smaller of two profiles, with piece ends where they cross."""
@@ -107,7 +115,7 @@ class Profile(Value):
             share = at_start / (at_start - at_end)
         extra = (a.angles[:-1] + share * np.diff(a.angles))[crossing]
         a, b = a.refined(extra), b.refined(extra)
-        return Profile(angles=a.angles, starts=np.minimum(a.starts, b.starts), ends=np.minimum(a.ends, b.ends))
+        return Profile._derived(a.angles, np.minimum(a.starts, b.starts), np.minimum(a.ends, b.ends))
 
 
 def added(profiles: Iterable[Profile]) -> Profile:
@@ -118,9 +126,8 @@ def added(profiles: Iterable[Profile]) -> Profile:
 
 def merge_angles(*lists: FloatArray) -> FloatArray:
     """Return all angles [rad] sorted from 0 to 2 pi, those closer than `SAME_ANGLE` to one before left out."""
-    merged = np.unique(np.concatenate([np.array([0.0, TURN]), *lists]))
     kept = [0.0]
-    for angle in merged[1:-1]:
+    for angle in sorted({angle for angles in lists for angle in angles.tolist()}):
         if angle - kept[-1] > SAME_ANGLE and TURN - angle > SAME_ANGLE:
-            kept.append(float(angle))
+            kept.append(angle)
     return np.array([*kept, TURN])

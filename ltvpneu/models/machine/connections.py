@@ -5,7 +5,7 @@ restrictions in series, or kept as chambers of their own ("dynamic").
 """
 
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 
@@ -94,39 +94,44 @@ class Connection(Value):
     second: Profile | None = None
 
 
-def through_valve(valve: RotaryValve, collapse: Collapse, chambers: tuple[str, ...]) -> list[Connection]:
-    """Return the connections that a rotary valve makes."""
+class Route(NamedTuple):
+    """Where a path through a rotary valve leads from and to, and through which inner volume."""
+
+    source: str
+    chamber: str
+    inner: str
+    """Empty where all inner volumes are collapsed to one path."""
+
+
+def routes_through(valve: RotaryValve, collapse: Collapse, chambers: tuple[str, ...]) -> tuple[Route, ...]:
+    """Return the routes through a rotary valve, whatever its duty: paths that come and go would be another machine."""
     if collapse == "dynamic":
-        return _through_inner_volumes(valve)
-    found: list[Connection] = []
-    for source in SOURCES:
-        for chamber in chambers:
-            if source not in valve.ways or chamber not in valve.ways:
-                continue
-            if collapse == "minimum":
-                area = valve.collapsed_area(source, chamber)
-                found.append(Connection(source=source, chamber=chamber, first=area))
-                continue
-            for volume in valve.volumes:
-                if valve.joins(source, volume) and valve.joins(chamber, volume):
-                    first, second = valve.way_area(source, volume), valve.way_area(chamber, volume)
-                    found.append(Connection(source=source, chamber=chamber, first=first, second=second))
-    return found
+        joined = [(volume, way) for volume in valve.volumes for way in valve.ways if valve.joins(way, volume)]
+        return tuple(
+            Route(way, volume, volume) if way in SOURCES else Route(volume, way, volume) for volume, way in joined
+        )
+    known = valve.ways
+    pairs = [(source, chamber) for source in SOURCES for chamber in chambers if source in known and chamber in known]
+    if collapse == "minimum":
+        return tuple(Route(source, chamber, "") for source, chamber in pairs)
+    return tuple(
+        Route(source, chamber, volume)
+        for source, chamber in pairs
+        for volume in valve.volumes
+        if valve.joins(source, volume) and valve.joins(chamber, volume)
+    )
 
 
-def _through_inner_volumes(valve: RotaryValve) -> list[Connection]:
-    found: list[Connection] = []
-    for volume in valve.volumes:
-        for way in valve.ways:
-            # Whatever the duty: paths that come and go with it would be another machine.
-            if not valve.joins(way, volume):
-                continue
-            area = valve.way_area(way, volume)
-            if way in SOURCES:
-                found.append(Connection(source=way, chamber=volume, first=area))
-            else:
-                found.append(Connection(source=volume, chamber=way, first=area))
-    return found
+def through_valve(route: Route, valve: RotaryValve, collapse: Collapse) -> Connection:
+    """Return the connection that a rotary valve makes along a route."""
+    source, chamber, inner = route
+    if collapse == "minimum":
+        return Connection(source=source, chamber=chamber, first=valve.collapsed_area(source, chamber))
+    if collapse == "dynamic":
+        way = source if inner == chamber else chamber
+        return Connection(source=source, chamber=chamber, first=valve.way_area(way, inner))
+    first, second = valve.way_area(source, inner), valve.way_area(chamber, inner)
+    return Connection(source=source, chamber=chamber, first=first, second=second)
 
 
 def check_ways(valve: RotaryValve, collapse: Collapse, chambers: tuple[str, ...]) -> None:

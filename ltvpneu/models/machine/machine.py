@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, final
+from typing import Any, cast, final
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from ltvpneu.models.machine.connections import (
     Collapse,
     Connection,
     FlowPath,
+    Route,
     check_ways,
+    routes_through,
     through_valve,
 )
 from ltvpneu.models.machine.openings import OpeningTable, opening_table
@@ -119,7 +121,7 @@ class Machine(Value):
         """Raise unless the machine has room in its record."""
         for what, found, room in (
             ("volumes", len(self.volumes), MAX_VOLUMES),
-            ("flow paths", len(self.connections), MAX_PATHS),
+            ("flow paths", len(self.ends), MAX_PATHS),
             ("numbers in the table of its medium", self.gas.table.size, MAX_TABLE),
         ):
             if found > room:
@@ -145,7 +147,10 @@ class Machine(Value):
             )
         if isinstance(self.valve, RotaryValve):
             check_ways(self.valve, self.collapse, self.cylinder.chambers)
-        fed = {end for connection in self.connections for end in (connection.chamber, connection.source)}
+        # Raises where the arcs over which a valve is on are not one window.
+        for number in {path.valve for path in self.flow_paths}:
+            (self.valve, *self.more_valves)[number].on_window()
+        fed = {name for ends in self.ends for name in ends}
         for chamber in self.cylinder.chambers:
             if chamber not in fed:
                 raise ValueError(
@@ -344,11 +349,21 @@ class Machine(Value):
         return read_only(np.array(given, dtype=np.float64))
 
     @cached_property
+    def _routes(self) -> tuple[Route, ...]:
+        if not isinstance(self.valve, RotaryValve):
+            return ()
+        return routes_through(self.valve, self.collapse, self.cylinder.chambers)
+
+    @cached_property
+    def ends(self) -> tuple[tuple[str, str], ...]:
+        """Source and volume of each of the connections, which cost a profile each."""
+        through = [(route.source, route.chamber) for route in self._routes]
+        return (*through, *((path.source, path.chamber) for path in self.flow_paths))
+
+    @cached_property
     def connections(self) -> tuple[Connection, ...]:
         """Every path of flow, with its effective areas over the turn."""
-        found: list[Connection] = []
-        if isinstance(self.valve, RotaryValve):
-            found += through_valve(self.valve, self.collapse, self.cylinder.chambers)
+        found = [through_valve(route, cast(RotaryValve, self.valve), self.collapse) for route in self._routes]
         on = [valve.on_window() for valve in (self.valve, *self.more_valves)]
         for path in self.flow_paths:
             found.append(Connection(source=path.source, chamber=path.chamber, first=path.profile(on[path.valve])))
@@ -383,7 +398,7 @@ class Machine(Value):
     def path_fields(self) -> tuple[PathFields, ...]:
         """Which volume each of the connections leads to, and from where."""
         known = {"supply": SUPPLY, "exhaust": EXHAUST, **{name: k for k, name in enumerate(self.volumes)}}
-        return tuple(PathFields(known[path.chamber], known[path.source]) for path in self.connections)
+        return tuple(PathFields(known[chamber], known[source]) for source, chamber in self.ends)
 
     @cached_property
     def is_plain(self) -> bool:
