@@ -86,6 +86,7 @@ from .periodic.variation import Variation as Variation
 from .physics.cylinder import Cylinder as Cylinder
 from .physics.gas import Gas as Gas
 from .physics.inner_volume import InnerVolume as InnerVolume
+from .physics.iso6358 import ISO6358 as ISO6358
 from .physics.liquid import Liquid as Liquid
 from .physics.load import Load as Load
 from .physics.profile import Profile as Profile

@@ -54,6 +54,25 @@ def variants() -> dict[str, lp.Machine]:
 MACHINES = variants()
 
 
+def by_data_sheet(machine: lp.Machine) -> lp.Machine:
+    """Return the machine with paths by ISO 6358, others back than there, a silencer on the exhausts."""
+    there = lp.ISO6358(sonic_conductance=0.7e-8, critical_pressure_ratio=0.3)
+    back = lp.ISO6358(sonic_conductance=0.8e-8, critical_pressure_ratio=0.2, subsonic_index=0.55)
+    silencer = lp.ISO6358(sonic_conductance=0.5e-8, critical_pressure_ratio=0.4)
+    paths = tuple(
+        lp.FlowPath(
+            source=path.source,
+            chamber=path.chamber,
+            opening=path.opening,
+            law=there,
+            law_back=back,
+            in_series=silencer if path.source == "exhaust" else None,
+        )
+        for path in machine.flow_paths
+    )
+    return replace(machine, flow_paths=paths)
+
+
 def extensions() -> dict[str, lp.Machine]:
     """Return machines beyond the paper's: energy balances, the valve's inner volume, real gas, liquid, leakage."""
     one, two = lp.load_machine("kunt_singh_1990"), lp.load_machine("double_acting_5_2")
@@ -79,6 +98,9 @@ def extensions() -> dict[str, lp.Machine]:
         "real, dynamic, polytropic": dynamic.with_gas(air).with_thermal(1.2),
         "real, in series": replace(one.with_gas(air), collapse="in_series"),
         "real, in series, adiabatic": replace(one.with_gas(air), collapse="in_series").with_thermal("adiabatic"),
+        "data sheet": by_data_sheet(two),
+        "data sheet, walls": by_data_sheet(two).with_thermal(walls),
+        "data sheet, real": by_data_sheet(two).with_gas(air),
         "hydraulic": lp.load_machine("hydraulic_4_2"),
         "hydraulic, in series": replace(one.with_gas(lp.Liquid()), collapse="in_series"),
     }

@@ -11,9 +11,10 @@ from typing import Annotated, NamedTuple
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.physics.flow import mass_flow, mass_flow_slopes
+from ltvpneu.physics.flow import mass_flow, mass_flow_slopes, mass_flux, mass_flux_slope
 from ltvpneu.physics.gas import Gas, GasConstants, GasState, ideal_properties
 from ltvpneu.physics.gas_table import in_table, real_flux_slopes, real_properties
+from ltvpneu.physics.iso6358 import PathLaw, RestrictionFields, share_of_choked
 from ltvpneu.physics.liquid import Liquid, liquid_flow_slopes, liquid_in_range, liquid_properties
 from ltvpneu.physics.properties import IDEAL, LIQUID, Properties
 from ltvpneu.physics.real_gas import RealGas
@@ -115,21 +116,60 @@ class Flow(NamedTuple):
 
 
 @compiled
-def _through(area: float, upstream: float, downstream: float, temperature: float, medium: MediumFields) -> Flow:
-    """Flow through one restriction of a real gas or a liquid."""
+def _nozzle(upstream: float, downstream: float, temperature: float, medium: MediumFields) -> Flow:
+    """Flow of a gas through a nozzle, per effective area."""
+    if medium.kind == IDEAL:
+        flux = mass_flux(upstream, downstream, temperature, medium.gas)
+        slope = mass_flux_slope(upstream, downstream, temperature, medium.gas)
+        # Homogeneous of degree one in the pressures; M_f ~ T^(-1/2) of the side upstream, (5).
+        return Flow(flux, (flux - downstream * slope) / upstream, slope, -0.5 * flux / temperature)
+    flux, by_upstream, by_downstream, by_temperature = real_flux_slopes(upstream, downstream, temperature, medium.table)
+    return Flow(flux, by_upstream, by_downstream, by_temperature)
+
+
+@compiled
+def _through(
+    area: float, law: RestrictionFields, upstream: float, downstream: float, temperature: float, medium: MediumFields
+) -> Flow:
+    """Flow through one restriction of an effective area."""
+    area *= law.share
     if area == 0.0:
         return Flow(0.0, 0.0, 0.0, 0.0)
     if medium.kind == LIQUID:
         flow, by_upstream, by_downstream = liquid_flow_slopes(area, upstream, downstream, medium.table)
         return Flow(flow, by_upstream, by_downstream, 0.0)
-    flux, by_upstream, by_downstream, by_temperature = real_flux_slopes(upstream, downstream, temperature, medium.table)
-    return Flow(area * flux, area * by_upstream, area * by_downstream, area * by_temperature)
+    if law.is_iso:
+        choked, found = _nozzle(upstream, 0.0, temperature, medium), share_of_choked(upstream, downstream, law)
+        by_upstream = choked.by_upstream * found.share + choked.flow * found.by_upstream
+        by_downstream = choked.flow * found.by_downstream
+        return Flow(
+            area * choked.flow * found.share,
+            area * by_upstream,
+            area * by_downstream,
+            area * choked.by_temperature * found.share,
+        )
+    flux = _nozzle(upstream, downstream, temperature, medium)
+    return Flow(area * flux.flow, area * flux.by_upstream, area * flux.by_downstream, area * flux.by_temperature)
+
+
+class _Way(NamedTuple):
+    """A path in the direction of its flow: effective areas [m^2] and laws of its two restrictions."""
+
+    first: float
+    second: float
+    """Infinite where there is none."""
+    law: RestrictionFields
+    second_law: RestrictionFields
 
 
 @compiled
-def _pressure_between(
-    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumFields
-) -> float:
+def _is_steep(way: _Way, medium: MediumFields) -> bool:
+    """Whether the flow's slope is infinite where the pressures meet: a gas through nozzles."""
+    return not (medium.kind == LIQUID or way.law.is_iso or (way.second_law.is_iso and not math.isinf(way.second)))
+
+
+@compiled
+def _pressure_between(way: _Way, upstream: float, downstream: float, temperature: float, medium: MediumFields) -> float:
     """Pressure between two restrictions in series that pass the same flow [Pa], by bisection.
 
     The temperature between them is taken as that upstream, which throttling changes by a real gas's Joule-Thomson
@@ -138,8 +178,8 @@ def _pressure_between(
     low, high = downstream, upstream
     middle = 0.5 * (low + high)
     while low < middle < high:
-        into = _through(areas[0], upstream, middle, temperature, medium).flow
-        if into > _through(areas[1], middle, downstream, temperature, medium).flow:
+        into = _through(way.first, way.law, upstream, middle, temperature, medium).flow
+        if into > _through(way.second, way.second_law, middle, downstream, temperature, medium).flow:
             low = middle
         else:
             high = middle
@@ -148,34 +188,34 @@ def _pressure_between(
 
 
 @compiled
-def _forward(
-    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumFields
-) -> Flow:
-    """Flow through the two effective areas of a path, the second infinite where there is none."""
-    if areas[0] == 0.0 or areas[1] == 0.0:
+def _forward(way: _Way, upstream: float, downstream: float, temperature: float, medium: MediumFields) -> Flow:
+    """Flow through a path's two restrictions."""
+    if way.first * way.law.share == 0.0 or way.second * way.second_law.share == 0.0:
         return Flow(0.0, 0.0, 0.0, 0.0)
-    if medium.kind == IDEAL:
+    if medium.kind == IDEAL and _is_steep(way, medium):
         high, low = GasState(upstream, temperature), GasState(downstream, temperature)
-        flow = mass_flow(areas[0], areas[1], high, low, medium.gas)
-        by_upstream, by_downstream = mass_flow_slopes(areas[0], areas[1], high, low, medium.gas)
-        # M_f ~ T^(-1/2) of the side upstream, (5).
+        flow = mass_flow(way.first, way.second, high, low, medium.gas)
+        by_upstream, by_downstream = mass_flow_slopes(way.first, way.second, high, low, medium.gas)
         return Flow(flow, by_upstream, by_downstream, -0.5 * flow / temperature)
-    if math.isinf(areas[1]):
-        return _through(areas[0], upstream, downstream, temperature, medium)
-    if upstream == downstream and medium.kind != LIQUID:
+    if math.isinf(way.second):
+        return _through(way.first, way.law, upstream, downstream, temperature, medium)
+    if upstream == downstream and _is_steep(way, medium):
         return Flow(0.0, math.inf, -math.inf, 0.0)
-    middle = _pressure_between(areas, upstream, downstream, temperature, medium)
-    # So much wider that nothing drops across it, one of the two is none.
-    if medium.kind != LIQUID and upstream - middle <= ROUNDING * upstream:
-        return _through(areas[1], upstream, downstream, temperature, medium)
-    if medium.kind != LIQUID and middle - downstream <= ROUNDING * downstream:
-        return _through(areas[0], upstream, downstream, temperature, medium)
-    one = _through(areas[0], upstream, middle, temperature, medium)
-    two = _through(areas[1], middle, downstream, temperature, medium)
+    middle = _pressure_between(way, upstream, downstream, temperature, medium)
+    # So much wider that nothing drops across it, one of the two is none; where pressures meet, a nozzle is.
+    if medium.kind != LIQUID and upstream - middle <= ROUNDING * upstream and not way.law.is_iso:
+        return _through(way.second, way.second_law, upstream, downstream, temperature, medium)
+    if medium.kind != LIQUID and middle - downstream <= ROUNDING * downstream and not way.second_law.is_iso:
+        return _through(way.first, way.law, upstream, downstream, temperature, medium)
+    one = _through(way.first, way.law, upstream, middle, temperature, medium)
+    two = _through(way.second, way.second_law, middle, downstream, temperature, medium)
     # Whichever has the larger pressure drop gives the flow with the smaller rounding error.
     flow = one.flow if upstream - middle > middle - downstream else two.flow
     # Implicit function theorem on M_1(p_u, p_m, T) = M_2(p_m, p_d, T).
     apart = one.by_downstream - two.by_upstream
+    if apart == 0.0:
+        # Shut by a check valve.
+        return Flow(flow, 0.0, 0.0, 0.0)
     return Flow(
         flow,
         -one.by_upstream * two.by_upstream / apart,
@@ -185,12 +225,10 @@ def _forward(
 
 
 @compiled
-def _laminar(
-    areas: tuple[float, float], upstream: float, downstream: float, temperature: float, medium: MediumFields
-) -> Flow:
+def _laminar(way: _Way, upstream: float, downstream: float, temperature: float, medium: MediumFields) -> Flow:
     """Flow that is proportional to the difference of the pressures, up to that of eq. (5) where laminar flow ends."""
     share = medium.laminar
-    edge = _forward(areas, upstream, (1.0 - share) * upstream, temperature, medium)
+    edge = _forward(way, upstream, (1.0 - share) * upstream, temperature, medium)
     part = (upstream - downstream) / (share * upstream)
     chord = edge.flow / (share * upstream)
     by_both = edge.by_upstream + (1.0 - share) * edge.by_downstream
@@ -199,7 +237,7 @@ def _laminar(
 
 @compiled
 def path_flow_slopes(
-    first: float, second: float, source: GasState, chamber: GasState, medium: MediumFields
+    first: float, second: float, source: GasState, chamber: GasState, law: PathLaw, medium: MediumFields
 ) -> tuple[float, float, float, float]:
     """Mass flow from a source into a chamber [kg/s] and its slopes.
 
@@ -208,6 +246,7 @@ def path_flow_slopes(
     first, second : float
         Effective areas C A [m^2] on the side of the source and of the chamber; `second` infinite where there is none.
     source, chamber : GasState
+    law : PathLaw
     medium : MediumFields
 
     Returns
@@ -218,20 +257,28 @@ def path_flow_slopes(
     """
     forward = source.pressure >= chamber.pressure
     high, low = (source, chamber) if forward else (chamber, source)
-    areas = (first, second) if forward or math.isinf(second) else (second, first)
-    if high.pressure - low.pressure < medium.laminar * high.pressure and medium.kind != LIQUID:
-        found = _laminar(areas, high.pressure, low.pressure, high.temperature, medium)
+    if forward:
+        way = _Way(first, second, law.first, law.second)
+    elif math.isinf(second):
+        way = _Way(first, second, law.first_back, law.second_back)
     else:
-        found = _forward(areas, high.pressure, low.pressure, high.temperature, medium)
+        way = _Way(second, first, law.second_back, law.first_back)
+    if high.pressure - low.pressure < medium.laminar * high.pressure and _is_steep(way, medium):
+        found = _laminar(way, high.pressure, low.pressure, high.temperature, medium)
+    else:
+        found = _forward(way, high.pressure, low.pressure, high.temperature, medium)
     if forward:
         return found.flow, found.by_upstream, found.by_downstream, found.by_temperature
     return -found.flow, -found.by_downstream, -found.by_upstream, -found.by_temperature
 
 
 @compiled
-def path_flow(first: float, second: float, source: GasState, chamber: GasState, medium: MediumFields) -> float:
+def path_flow(
+    first: float, second: float, source: GasState, chamber: GasState, law: PathLaw, medium: MediumFields
+) -> float:
     """Mass flow from a source into a chamber [kg/s], as of `path_flow_slopes`."""
     high = max(source.pressure, chamber.pressure)
-    if medium.kind == IDEAL and abs(source.pressure - chamber.pressure) >= medium.laminar * high:
+    is_iso = law.first.is_iso or law.second.is_iso
+    if medium.kind == IDEAL and not is_iso and abs(source.pressure - chamber.pressure) >= medium.laminar * high:
         return mass_flow(first, second, source, chamber, medium.gas)
-    return path_flow_slopes(first, second, source, chamber, medium)[0]
+    return path_flow_slopes(first, second, source, chamber, law, medium)[0]

@@ -308,13 +308,14 @@ def test_at_quasi_static_states_nothing_moves(name):
 @pytest.mark.parametrize("ratio", [1e4, 1e6, 1e8, 1e10])
 @pytest.mark.parametrize("narrow_first", [True, False])
 def test_a_restriction_much_wider_than_the_other_is_none(table_1, gas, ratio, narrow_first):
-    medium = table_1.with_gas(gas).with_collapse("in_series").with_thermal("isothermal").as_record(GENERAL)["medium"]
+    record = table_1.with_gas(gas).with_collapse("in_series").with_thermal("isothermal").as_record(GENERAL)
+    law, medium = record["laws"][0], record["medium"]
     areas = (1e-6 / ratio, 1e-6) if narrow_first else (1e-6, 1e-6 / ratio)
     source = GasState(4e5, 293.15)
     for downstream in (1e5, 3.99e5, 4e5 * (1 - 3e-6)):
         chamber = GasState(downstream, 293.15)
-        found = path_flow_slopes(*areas, source, chamber, medium)
-        alone = path_flow_slopes(min(areas), math.inf, source, chamber, medium)
+        found = path_flow_slopes(*areas, source, chamber, law, medium)
+        alone = path_flow_slopes(min(areas), math.inf, source, chamber, law, medium)
         np.testing.assert_allclose(found, alone, rtol=20 / ratio + 1e-6, atol=1e-7 * abs(alone[0]) / 4e5)
 
 
@@ -323,18 +324,19 @@ def test_a_restriction_much_wider_than_the_other_is_none(table_1, gas, ratio, na
 @pytest.mark.parametrize("share", [3e-6, 5e-5, 9e-5])
 @pytest.mark.parametrize("reverse", [True, False])
 def test_slopes_of_the_laminar_flow_equal_differences(table_1, gas, collapse, share, reverse):
-    medium = table_1.with_gas(gas).with_collapse(collapse).with_thermal("adiabatic").as_record(GENERAL)["medium"]
+    record = table_1.with_gas(gas).with_collapse(collapse).with_thermal("adiabatic").as_record(GENERAL)
+    law, medium = record["laws"][0], record["medium"]
     areas = (3e-6, 2e-6) if collapse == "in_series" else (3e-6, math.inf)
     base = np.array([4e5, 4e5 * (1 - share), 280.0, 320.0])
     if reverse:
         base[:2] = base[1], base[0]
 
     def flow(values: np.ndarray) -> float:
-        return path_flow(*areas, GasState(values[0], values[2]), GasState(values[1], values[3]), medium)
+        return path_flow(*areas, GasState(values[0], values[2]), GasState(values[1], values[3]), law, medium)
 
     steps = np.diag([0.02, 0.02, 0.1, 0.1])
     slopes = [(flow(base + step) - flow(base - step)) / (2 * step.max()) for step in steps]
-    found = path_flow_slopes(*areas, GasState(base[0], base[2]), GasState(base[1], base[3]), medium)
+    found = path_flow_slopes(*areas, GasState(base[0], base[2]), GasState(base[1], base[3]), law, medium)
     assert found[0] == pytest.approx(flow(base), rel=1e-12)
     np.testing.assert_allclose(found[1:3], slopes[:2], rtol=2e-5)
     assert found[3] == pytest.approx(slopes[3 if reverse else 2], rel=1e-5)

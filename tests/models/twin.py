@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 
 import ltvpneu as lp
@@ -46,35 +47,64 @@ class Twin:
         bracket = max(r ** (2 / g) - r ** ((g + 1) / g), 0.0)
         return up * math.sqrt(2 * g / ((g - 1) * R * temperature) * bracket)
 
-    def through(self, first: float, second: float | None, up: tuple[float, float], down: float) -> float:
+    def passed(self, area: float, law: lp.ISO6358 | None, up: float, down: float, temperature: float) -> float:
+        """Flow through an effective area, by the paper's nozzle or by ISO 6358 as its formulas stand."""
+        if law is None:
+            return area * self.flux(up, down, temperature)
+        b, B, m, r = law.critical_pressure_ratio, law.laminar_ratio, law.subsonic_index, down / up
+        choked = area * self.flux(up, 0.0, temperature)
+        if r <= b:
+            return choked
+        if r <= B:
+            return choked * (1 - ((r - b) / (1 - b)) ** 2) ** m
+        edge, slope = (1 - ((B - b) / (1 - b)) ** 2) ** m, 2 * m * (B - b) / (1 + B - 2 * b)
+        nearer = (1 + B) / 2
+        if r >= nearer:
+            return choked * edge * (1 - r) / (1 - B)
+        # Between the line and the curve the cubic with the values and slopes of both at its ends.
+        joint = CubicHermiteSpline([B, nearer], [edge, edge / 2], [-edge * slope / (1 - B), -edge / (1 - B)])
+        return choked * float(joint(r))
+
+    def through(self, areas, laws, up: tuple[float, float], down: float) -> float:
+        (first, second), (law, second_law) = areas, laws
         if first == 0 or second == 0:
             return 0.0
         if second is None:
-            return first * self.flux(up[0], down, up[1])
+            return self.passed(first, law, up[0], down, up[1])
         if up[0] <= down * (1 + 1e-13):
             return 0.0
 
         def gap(middle: float) -> float:
-            return first * self.flux(up[0], middle, up[1]) - second * self.flux(middle, down, up[1])
+            return self.passed(first, law, up[0], middle, up[1]) - self.passed(second, second_law, middle, down, up[1])
 
-        return first * self.flux(up[0], brentq(gap, down, up[0], xtol=1e-9, rtol=1e-15), up[1])
+        return self.passed(first, law, up[0], brentq(gap, down, up[0], xtol=1e-9, rtol=1e-15), up[1])
 
     def temperature(self, chamber: str, pressure: float) -> float:
         n = getattr(self.machine.cylinder, f"polytropic_exponent_{chamber[-1]}")
         # A trial step of the integrator may go below zero.
         return self.machine.gas.temperature * (max(pressure, 1.0) / self.machine.exhaust_pressure) ** ((n - 1) / n)
 
-    def flow(self, connection, angle: float, pressure: float) -> float:
-        machine = self.machine
+    def flow(self, number: int, angle: float, pressure: float) -> float:
+        machine, connection = self.machine, self.machine.connections[number]
         source = machine.supply_pressure if connection.source == "supply" else machine.exhaust_pressure
+        path = number - len(machine.connections) + len(machine.flow_paths)
+        there, back, fixed = None, None, None
+        if path >= 0:
+            there, fixed = machine.flow_paths[path].law, machine.flow_paths[path].in_series
+            back = machine.flow_paths[path].law_back or there
         first = connection.first.at(angle)
         second = None if connection.second is None else connection.second.at(angle)
+        if there is not None and back is not None:
+            # The opening is that of the direction that lets more through.
+            share = (there if source >= pressure else back).area / max(there.area, back.area)
+            first, second = (first * share, None) if second is None else (first, second * share)
+        laws = (there if source >= pressure else back, None) if fixed is None else (fixed, there)
         if source >= pressure:
-            return self.through(first, second, (source, machine.gas.temperature), pressure)
+            return self.through((first, second), laws, (source, machine.gas.temperature), pressure)
         inside = (pressure, self.temperature(connection.chamber, pressure))
         if second is None:
-            return -self.through(first, None, inside, source)
-        return -self.through(second, first, inside, source)
+            return -self.through((first, None), laws, inside, source)
+        return -self.through((second, first), (back, fixed), inside, source)
 
     def force(self, z: np.ndarray) -> float:
         m, c = self.machine, self.machine.cylinder
@@ -97,7 +127,9 @@ class Twin:
             area = sign * getattr(c, f"piston_area_{name[-1]}")
             volume = getattr(c, f"dead_volume_{name[-1]}") + area * z[0]
             n = getattr(c, f"polytropic_exponent_{name[-1]}")
-            mass_flow = sum(self.flow(con, angle, z[2 + k]) for con in m.connections if con.chamber == name)
+            mass_flow = sum(
+                self.flow(number, angle, z[2 + k]) for number, con in enumerate(m.connections) if con.chamber == name
+            )
             heat = m.gas.specific_gas_constant * self.temperature(name, z[2 + k])
             out[2 + k] = n / volume * (heat * mass_flow - z[2 + k] * area * v)
         return out

@@ -11,6 +11,7 @@ import numpy as np
 
 from ltvpneu._arrays import finite, not_negative
 from ltvpneu._values import Value
+from ltvpneu.physics.iso6358 import ISO6358, NOZZLE, PathLaw
 from ltvpneu.physics.profile import Profile, merge_angles
 from ltvpneu.physics.proportional import Command
 from ltvpneu.physics.valve import Phase, RotaryValve, check_phase
@@ -35,10 +36,17 @@ class FlowPath(Value):
         "supply" or "exhaust", or the other chamber: leakage past the piston, or a bypass.
     chamber : str
         "chamber_1" or "chamber_2".
-    area : float
-        Area when fully open [m^2].
+    area : float or None
+        Area when fully open [m^2], of a nozzle as in the paper or of a liquid's orifice; None where there is a law.
     discharge_coefficient : float
-        C [-], above 0, at most 1.
+        C [-], above 0, at most 1; of an area.
+    law : ISO6358 or None
+        Instead of an area: what the data sheet says of the path when fully open.
+    law_back : ISO6358 or None
+        Of flow from the chamber to the source, where that is another: valves have an in and an out, one-way throttles a
+        free direction. A conductance of zero makes a check valve.
+    in_series : ISO6358 or None
+        A fixed restriction on the side of the source: a silencer, a throttle, a fitting.
     opening : {"always", "on", "off"} or Window
         "on" while the valve is on, "off" while it is not, or a window of the turn of its own. Of a proportional valve,
         "on" opens with a command above zero and "off" with one below.
@@ -48,10 +56,13 @@ class FlowPath(Value):
 
     source: str
     chamber: str
-    area: float
+    area: float | None = None
     discharge_coefficient: float = 1.0
     opening: Phase | Window = "always"
     valve: int = 0
+    law: ISO6358 | None = None
+    law_back: ISO6358 | None = None
+    in_series: ISO6358 | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.valve, bool) or not isinstance(self.valve, int) or self.valve < 0:  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -60,23 +71,69 @@ class FlowPath(Value):
             raise ValueError(f'source: found {self.source!r}, expected "supply", "exhaust" or the other chamber')
         if self.source == self.chamber:
             raise ValueError(f"source: found {self.source!r}, which is the path's own chamber; expected another volume")
-        not_negative("area", self.area, "m^2")
+        self._check_law()
+        if not isinstance(self.opening, Window):
+            check_phase("opening", self.opening)
+
+    def _check_law(self) -> None:
+        if (self.area is None) == (self.law is None):
+            found = "neither" if self.area is None else "both"
+            raise ValueError(f"area, law: found {found}, expected one of them")
+        if self.area is not None:
+            not_negative("area", self.area, "m^2")
+            if self.law_back is not None:
+                raise ValueError("law_back: found it beside an area, expected a law for the other direction too")
         if not 0 < finite("discharge_coefficient", self.discharge_coefficient) <= 1:
             raise ValueError(
                 f"discharge_coefficient: found {self.discharge_coefficient:g}, expected above 0, at most 1"
             )
-        if not isinstance(self.opening, Window):
-            check_phase("opening", self.opening)
+        if self.law is not None and self.discharge_coefficient != 1.0:
+            raise ValueError(
+                f"discharge_coefficient: found {self.discharge_coefficient:g} beside a law, which holds it already"
+            )
+
+    @property
+    def laws(self) -> tuple[ISO6358, ...]:
+        """The ISO 6358 laws among its restrictions."""
+        return tuple(law for law in (self.law, self.law_back, self.in_series) if law is not None)
+
+    @property
+    def effective_area(self) -> float:
+        """Effective area C A of the passage when fully open, of the direction in which it is larger [m^2]."""
+        if self.law is None:
+            return self.discharge_coefficient * (self.area or 0.0)
+        return max(self.law.area, 0.0 if self.law_back is None else self.law_back.area)
+
+    @property
+    def law_fields(self) -> PathLaw:
+        """The laws of both restrictions and directions, as the compiled kernels read them."""
+        there = back = NOZZLE
+        if self.law is not None:
+            whole = self.effective_area or 1.0
+            returning = self.law_back or self.law
+            there, back = self.law.fields(self.law.area / whole), returning.fields(returning.area / whole)
+        if self.in_series is None:
+            return PathLaw(there, NOZZLE, back, NOZZLE)
+        fixed = self.in_series.fields(1.0)
+        return PathLaw(fixed, there, fixed, back)
+
+    def connection(self, on: Window | Pulses | Command) -> "Connection":
+        """Return the path as the models see it, for the arcs over which its valve is on."""
+        passage = self.profile(on)
+        if self.in_series is None:
+            return Connection(source=self.source, chamber=self.chamber, first=passage)
+        fixed = Profile.constant(self.in_series.area)
+        return Connection(source=self.source, chamber=self.chamber, first=fixed, second=passage)
 
     def profile(self, on: Window | Pulses | Command) -> Profile:
-        """Return the effective area C A over the turn [m^2], for the arcs over which its valve is on."""
+        """Return the effective area C A of its passage over the turn [m^2], for the arcs over which its valve is on."""
         if isinstance(self.opening, Window):
             opening = self.opening.profile
         elif self.opening == "always":
             opening = Profile.constant(1.0)
         else:
             opening = on.profile if self.opening == "on" else on.complement.profile
-        return opening.scaled(self.discharge_coefficient * self.area)
+        return opening.scaled(self.effective_area)
 
 
 @final

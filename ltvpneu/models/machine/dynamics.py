@@ -56,16 +56,16 @@ def gas_at_source(path: int, state: FloatArray, machine: MachineRecord) -> GasSt
     return gas_in_volume(volume, state, machine) if volume >= 0 else source_state(volume, machine)
 
 
-def _general_flow(first: float, second: float, source: GasState, inside: GasState, machine: GeneralRecord) -> float:
-    return path_flow(first, second, source, inside, machine.medium)
+def _general_flow(path: int, areas: FloatArray, source: GasState, inside: GasState, machine: GeneralRecord) -> float:
+    return path_flow(areas[0, path], areas[1, path], source, inside, machine.laws[path], machine.medium)
 
 
-def _plain_flow(first: float, second: float, source: GasState, inside: GasState, machine: MachineRecord) -> float:
-    return mass_flow(first, second, source, inside, machine.gas)
+def _plain_flow(path: int, areas: FloatArray, source: GasState, inside: GasState, machine: MachineRecord) -> float:
+    return mass_flow(areas[0, path], areas[1, path], source, inside, machine.gas)
 
 
 flow_into = by_field("medium", "machine", _general_flow, _plain_flow)
-"""Mass flow from a source into a volume through effective areas [m^2], in any medium [kg/s]."""
+"""Mass flow from a source into a volume through a path, at areas (2, n_paths), in any medium [kg/s]."""
 
 
 def _general_properties(here: GasState, machine: GeneralRecord) -> Properties:
@@ -186,7 +186,7 @@ def _general_rates(
             continue
         k, other = machine.paths[path].volume, machine.paths[path].source
         source, inside = gas_at_source(path, state, machine), gas_in_volume(k, state, machine)
-        flow = path_flow(first, second, source, inside, machine.medium)
+        flow = flow_into(path, areas, source, inside, machine)
         rate[2 + k] += flow
         if other >= 0:
             rate[2 + other] -= flow

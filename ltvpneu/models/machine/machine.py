@@ -43,6 +43,7 @@ from ltvpneu.models.machine.records import (
 from ltvpneu.physics.cylinder import ATMOSPHERE, Cylinder
 from ltvpneu.physics.gas import Gas, GasState
 from ltvpneu.physics.inner_volume import InnerVolume
+from ltvpneu.physics.iso6358 import NOZZLES, PathLaw
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
 from ltvpneu.physics.medium import LAMINAR, MAX_TABLE, Medium, MediumFields, check_process, warn_if_cold
@@ -167,6 +168,12 @@ class Machine(Value):
         ]
         for name, exponent, balance in processes:
             check_process(name, exponent, balance, gas)
+        for number, path in enumerate(self.flow_paths):
+            if isinstance(gas, Liquid) and path.laws:
+                raise ValueError(
+                    f"flow_paths: found a law of gases in path {number} of a liquid's machine, expected an area and a "
+                    "discharge coefficient"
+                )
         if isinstance(gas, Liquid) and self.exhaust_pressure <= gas.vapor_pressure:
             raise ValueError(
                 f"exhaust_pressure: found {self.exhaust_pressure:g} Pa, not above the liquid's vapor pressure "
@@ -366,7 +373,7 @@ class Machine(Value):
         found = [through_valve(route, cast(RotaryValve, self.valve), self.collapse) for route in self._routes]
         on = [valve.on_window() for valve in (self.valve, *self.more_valves)]
         for path in self.flow_paths:
-            found.append(Connection(source=path.source, chamber=path.chamber, first=path.profile(on[path.valve])))
+            found.append(path.connection(on[path.valve]))
         return tuple(found)
 
     @cached_property
@@ -401,10 +408,17 @@ class Machine(Value):
         return tuple(PathFields(known[chamber], known[source]) for source, chamber in self.ends)
 
     @cached_property
+    def path_laws(self) -> tuple[PathLaw, ...]:
+        """By which laws each of the connections lets through."""
+        return (*(NOZZLES for _ in self._routes), *(path.law_fields for path in self.flow_paths))
+
+    @cached_property
     def is_plain(self) -> bool:
-        """Whether all is as in the paper: ideal gas, no temperature a state, no path between volumes."""
+        """Whether all is as in the paper: ideal gas, nozzles, no temperature a state, no path between volumes."""
         no_temperature = all(volume.temperature_place < 0 for volume in self.volume_fields)
-        return isinstance(self.gas, Gas) and no_temperature and all(path.source < 0 for path in self.path_fields)
+        no_law = not any(path.laws for path in self.flow_paths)
+        from_outside = all(path.source < 0 for path in self.path_fields)
+        return isinstance(self.gas, Gas) and no_temperature and no_law and from_outside
 
     @cached_property
     def record(self) -> MachineRecord:
@@ -437,6 +451,7 @@ class Machine(Value):
             table = np.zeros(MAX_TABLE)
             table[: gas.table.size] = gas.table
             laminar = 0.0 if self.is_plain else LAMINAR
+            values["laws"] = list(self.path_laws)
             values["medium"] = MediumFields(gas.kind, laminar, gas.constants, table)
         return filled(kind, values)
 
@@ -451,7 +466,8 @@ class Machine(Value):
         constant = len(self.states) == 2 + self.n_volumes and all(
             volume.polytropic_exponent == 1.0 for volume in self.volume_fields
         )
-        return constant and isinstance(self.gas, Gas)
+        checks = any(law.cracking_pressure for path in self.flow_paths for law in path.laws)
+        return constant and not checks and isinstance(self.gas, Gas)
 
     @cached_property
     def state_scales(self) -> FloatArray:

@@ -73,7 +73,7 @@ def net_flow(k: int, state: FloatArray, areas: FloatArray, machine: MachineRecor
         into, other = machine.paths[path].volume, machine.paths[path].source
         if (into == k or other == k) and is_open(path, areas):
             source, inside = gas_at_source(path, state, machine), gas_in_volume(into, state, machine)
-            flow = flow_into(areas[0, path], areas[1, path], source, inside, machine)
+            flow = flow_into(path, areas, source, inside, machine)
             total += flow if into == k else -flow
     return total
 
@@ -188,7 +188,7 @@ def _settle_temperature(k: int, areas: FloatArray, machine: GeneralRecord, state
         into, other = machine.paths[path].volume, machine.paths[path].source
         if (into == k or other == k) and is_open(path, areas):
             source, inside = gas_at_source(path, state, machine), gas_in_volume(into, state, machine)
-            flow = flow_into(areas[0, path], areas[1, path], source, inside, machine)
+            flow = flow_into(path, areas, source, inside, machine)
             coming = flow if into == k else -flow
             if coming > 0.0:
                 weight += heat * coming

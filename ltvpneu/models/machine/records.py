@@ -13,6 +13,7 @@ import numpy as np
 from ltvpneu._arrays import layout
 from ltvpneu._compiled import by_field, inlined
 from ltvpneu.physics.gas import GasConstants, GasState
+from ltvpneu.physics.iso6358 import PathLaw
 from ltvpneu.physics.medium import MediumFields
 from ltvpneu.physics.properties import LIQUID
 
@@ -89,6 +90,8 @@ class GeneralRecord(MachineRecord):
     """Any machine."""
 
     medium: MediumFields
+    laws: Annotated[Sequence[PathLaw], MAX_PATHS]
+    """Of the paths."""
 
 
 PLAIN, GENERAL = layout(MachineRecord), layout(GeneralRecord)
@@ -100,7 +103,8 @@ def filled(kind: np.dtype[Any], values: Mapping[str, Any]) -> MachineRecord:
     for name, value in values.items():
         if isinstance(value, list):
             items: list[Any] = value
-            found[f"n_{name}"] = len(items)
+            if f"n_{name}" in (kind.names or ()):
+                found[f"n_{name}"] = len(items)
             found[name][0, : len(items)] = items
         else:
             found[name] = value

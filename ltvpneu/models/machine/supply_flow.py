@@ -23,7 +23,7 @@ def source_flow(states: FloatArray, areas: FloatArray, from_supply: bool, machin
         for path in range(machine.n_paths):
             if machine.paths[path].source == wanted:
                 inside = gas_in_volume(machine.paths[path].volume, states[i], machine)
-                found[i] += flow_into(areas[i, 0, path], areas[i, 1, path], source, inside, machine)
+                found[i] += flow_into(path, areas[i], source, inside, machine)
     return found
 
 
@@ -49,12 +49,12 @@ def supply_flow_tangents(
             if abs(inside.pressure - source.pressure) < least:
                 pressure = source.pressure + (least if inside.pressure > source.pressure else -least)
                 away = GasState(pressure, inside.temperature)
-                through = flow_into(first, second, source, away, machine)
+                through = flow_into(path, areas[i], source, away, machine)
                 slope = through / (pressure - source.pressure)
                 by_state[i, 2 + k] += slope
                 by_input[i, 0] -= slope
                 continue
-            through, by_source, by_chamber, by_temperature = flow_slopes_into(first, second, source, inside, machine)
+            through, by_source, by_chamber, by_temperature = flow_slopes_into(path, areas[i], source, inside, machine)
             by_state[i, 2 + k] += by_chamber
             by_input[i, 0] += by_source
             offset[i] += through - by_chamber * inside.pressure - by_source * source.pressure

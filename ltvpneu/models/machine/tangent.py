@@ -121,14 +121,15 @@ _volume_rows = by_field("medium", "machine", _general_rows, _plain_rows)
 
 
 def _general_slopes(
-    first: float, second: float, source: GasState, inside: GasState, machine: GeneralRecord
+    path: int, areas: FloatArray, source: GasState, inside: GasState, machine: GeneralRecord
 ) -> tuple[float, float, float, float]:
-    return path_flow_slopes(first, second, source, inside, machine.medium)
+    return path_flow_slopes(areas[0, path], areas[1, path], source, inside, machine.laws[path], machine.medium)
 
 
 def _plain_slopes(
-    first: float, second: float, source: GasState, inside: GasState, machine: MachineRecord
+    path: int, areas: FloatArray, source: GasState, inside: GasState, machine: MachineRecord
 ) -> tuple[float, float, float, float]:
+    first, second = areas[0, path], areas[1, path]
     flow = mass_flow(first, second, source, inside, machine.gas)
     by_source, by_chamber = mass_flow_slopes(first, second, source, inside, machine.gas)
     # M_f ~ T^(-1/2) of the side upstream, (5).
@@ -178,9 +179,7 @@ def _add(column: int, value: float, row_A: FloatArray, row_B: FloatArray) -> Non
 def _slopes(path: int, state: FloatArray, areas: FloatArray, machine: GeneralRecord) -> _Slopes:
     k, other = machine.paths[path].volume, machine.paths[path].source
     source, inside = gas_at_source(path, state, machine), gas_in_volume(k, state, machine)
-    flow, by_source, by_chamber, by_temperature = path_flow_slopes(
-        areas[0, path], areas[1, path], source, inside, machine.medium
-    )
+    flow, by_source, by_chamber, by_temperature = flow_slopes_into(path, areas, source, inside, machine)
     column = 2 + other if other >= 0 else other
     volume = k if flow < 0.0 else other
     upstream = 2 + k if flow < 0.0 else column

@@ -203,7 +203,7 @@ def _passing(state: FloatArray, areas: FloatArray, machine: MachineRecord, passe
             continue
         into, other = machine.paths[path].volume, machine.paths[path].source
         source, inside = gas_at_source(path, state, machine), gas_in_volume(into, state, machine)
-        flow = flow_into(first, second, source, inside, machine)
+        flow = flow_into(path, areas, source, inside, machine)
         enthalpy = enthalpy_of(source if flow >= 0.0 else inside, machine)[0]
         size = math.fabs(flow)
         receiving, giving = (into, other) if flow >= 0.0 else (other, into)
