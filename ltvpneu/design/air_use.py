@@ -74,6 +74,7 @@ def air_use(machine: Machine, orbit: Orbit) -> float:
 def mean_flow(machine: Machine, orbit: Orbit, *, from_supply: bool) -> float:
     """Return the mean mass flow out of the supply, or out of the exhaust, over an orbit [kg/s]."""
     period = orbit.system_period
+    machine = machine.at(1 / period)
     own = np.mod(orbit.step_times / period, 1.0)
     cells, table = np.unique(np.round(np.concatenate([np.linspace(0.0, 1.0, PARTS + 1), own]), 12)), machine.openings
     cuts = np.union1d(cells, table.fractions)

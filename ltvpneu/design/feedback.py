@@ -220,7 +220,7 @@ def simulate_closed_loop(
         n_held += made != asked
         duties[number] = valve.open_share(made, frequency)
         present = machine.with_duty(float(duties[number]))
-        pieces = pieces_of(present.openings, period)
+        pieces = pieces_of(present.at(frequency).openings, period)
         outcome = integrate_period(state, new_run(present.record, settings, pieces))
         if outcome.status != OK:
             raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)

@@ -46,9 +46,9 @@ class ValveLimits(Value):
         Not at all where the command is shorter than the opening delay, throughout where the pause is shorter than the
         closing delay.
         """
-        if command < self.opening_delay * frequency:
+        if command <= self.opening_delay * frequency:
             return 0.0
-        if 1 - command < self.closing_delay * frequency:
+        if 1 - command <= self.closing_delay * frequency:
             return 1.0
         return min(max(command - self.lag * frequency, 0.0), 1.0)
 

@@ -12,7 +12,8 @@ INCH, POUND_FORCE = 0.0254, 4.4482216152605
 
 Dimension = Literal[
     "pressure", "length", "area", "volume", "mass", "force", "stiffness", "damping", "temperature", "angle",
-    "gas constant", "heat transfer coefficient", "density", "viscosity", "number",
+    "gas constant", "heat transfer coefficient", "density", "viscosity", "sonic conductance",
+    "volume flow", "time", "number",
 ]  # fmt: skip
 
 _UNITS: dict[Dimension, dict[str, float]] = {
@@ -37,6 +38,13 @@ _UNITS: dict[Dimension, dict[str, float]] = {
     "heat transfer coefficient": {"W/(m^2 K)": 1.0, "kW/(m^2 K)": 1e3},
     "density": {"kg/m^3": 1.0, "g/cm^3": 1e3, "kg/l": 1e3},
     "viscosity": {"Pa s": 1.0, "mPa s": 1e-3, "cP": 1e-3},
+    "sonic conductance": {
+        "m^3/(s Pa)": 1.0, "dm^3/(s bar)": 1e-8, "l/(s bar)": 1e-8, "l/(min bar)": 1e-8 / 60, "cm^3/(s bar)": 1e-11,
+    },
+    "volume flow": {
+        "m^3/s": 1.0, "m^3/h": 1 / 3600, "dm^3/s": 1e-3, "l/s": 1e-3, "l/min": 1 / 60000, "Nl/min": 1 / 60000
+    },
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
     "number": {"": 1.0, "%": 1e-2},
 }  # fmt: skip
 _ZERO_POINTS = {"K": 0.0, "degC": 273.15, "degF": 459.67 * 5 / 9}
@@ -44,7 +52,8 @@ _EXAMPLES: dict[Dimension, str] = {
     "pressure": "0.41 MPa", "length": "80 mm", "area": "16 mm^2", "volume": "8.2 cm^3", "mass": "1.75 kg",
     "force": "26.6 N", "stiffness": "2.1 kN/m", "damping": "43.7 N s/m", "temperature": "20 degC", "angle": "180 deg",
     "gas constant": "287.05 J/(kg K)",
-    "heat transfer coefficient": "60 W/(m^2 K)", "density": "860 kg/m^3", "viscosity": "27.5 mPa s", "number": "0.5",
+    "heat transfer coefficient": "60 W/(m^2 K)", "density": "860 kg/m^3", "viscosity": "27.5 mPa s",
+    "sonic conductance": "0.7 dm^3/(s bar)", "volume flow": "500 l/min", "time": "12 ms", "number": "0.5",
 }  # fmt: skip
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*(.*?)\s*$")
 
@@ -104,6 +113,8 @@ def _normal(unit: str) -> str:
     unit = re.sub(r"\s*[·*⋅]\s*", " ", unit)
     unit = re.sub(r"(?<=[NJ])-(?=s|m)", " ", unit)
     unit = re.sub(r"\s+\(([ga])\)$", r"(\1)", unit)
+    # mm2 and dm3 are common where no keyboard has a superscript; flows may say that they are at ANR.
+    unit = re.sub(r"(?<=m)([23])(?![0-9])", r"^\1", unit).replace("(ANR)", "").strip()
     return re.sub(r"\s*/\s*", "/", unit)
 
 

@@ -207,6 +207,24 @@ class ISO6358(Value):
         conductance = positive("kv", kv, "m^3/h") * AREA_OF_KV * density_root / ANR_DENSITY
         return ISO6358(sonic_conductance=conductance, critical_pressure_ratio=critical_pressure_ratio)
 
+    @staticmethod
+    def in_series(*restrictions: "ISO6358") -> "ISO6358":
+        """Return one restriction for several in a row, by 1/C^3 = sum 1/C_i^3 and b = 1 - C^2 sum (1 - b_i) / C_i^2.
+
+        The rule for b makes the drop of small flows the sum of the drops; that for C is an empirical one (Eckersten).
+        Flow paths solve two restrictions in series exactly; this is for the fixed ones among more.
+        """
+        if not restrictions:
+            raise ValueError("restrictions: found none, expected at least one")
+        if len(restrictions) == 1:
+            return restrictions[0]
+        if any(one.sonic_conductance == 0.0 or one.cracking_pressure for one in restrictions):
+            raise ValueError("restrictions: found one that is shut or a check valve, expected open ones")
+        conductance = sum(one.sonic_conductance**-3 for one in restrictions) ** (-1 / 3)
+        drop = sum((1 - one.critical_pressure_ratio) / one.sonic_conductance**2 for one in restrictions)
+        ratio = max(0.0, 1 - conductance**2 * drop)
+        return ISO6358(sonic_conductance=conductance, critical_pressure_ratio=ratio)
+
     @cached_property
     def _record(self) -> RestrictionFields:
         # Kernels take a law as they find it in a machine's record.

@@ -1,10 +1,15 @@
 """Load: moving mass, spring, viscous and dry friction, an external force; M_t x'' = F_e - F_f, (7a) with erratum E3."""
 
+import math
+import warnings
 from dataclasses import dataclass
 from typing import final
 
 from ltvpneu._arrays import finite, not_negative, positive
 from ltvpneu._values import Value
+
+GRAVITY = 9.80665
+"""Standard acceleration of free fall [m/s^2]."""
 
 
 @final
@@ -23,7 +28,12 @@ class Load(Value):
     dry_friction, stiction : float
         F_d, F_s [N]; F_s at least F_d in any real seal.
     force : float
-        External force on the piston, towards higher positions [N]: weight, preload.
+        External force on the piston, towards higher positions [N].
+    mounting : float
+        Angle of the way to higher positions above the horizontal [rad]: the weight of the mass acts along it, pi / 2
+        where the piston goes up. The paper's rig lies flat.
+    spring_preload : float
+        Force of the spring at position zero, towards lower positions [N]; negative where it pushes the other way.
     """
 
     mass: float
@@ -32,6 +42,8 @@ class Load(Value):
     dry_friction: float = 0.0
     stiction: float = 0.0
     force: float = 0.0
+    mounting: float = 0.0
+    spring_preload: float = 0.0
 
     def __post_init__(self) -> None:
         positive("mass", self.mass, "kg")
@@ -40,3 +52,19 @@ class Load(Value):
         not_negative("dry_friction", self.dry_friction, "N")
         not_negative("stiction", self.stiction, "N")
         finite("force", self.force, "N")
+        finite("spring_preload", self.spring_preload, "N")
+        if abs(finite("mounting", self.mounting, "rad")) > math.pi:
+            raise ValueError(
+                f"mounting: found {self.mounting:g} rad, expected -pi to pi (90 degrees is {math.pi / 2:.4g} rad)"
+            )
+        if 0 < self.stiction < self.dry_friction:
+            warnings.warn(
+                f"stiction: found {self.stiction:g} N below the dry friction of {self.dry_friction:g} N; a seal holds "
+                "with more than it slides: were the two exchanged?",
+                stacklevel=4,
+            )
+
+    @property
+    def constant_force(self) -> float:
+        """Force on the piston that depends on nothing, towards higher positions [N]: external, weight, preload."""
+        return self.force - self.mass * GRAVITY * math.sin(self.mounting) - self.spring_preload

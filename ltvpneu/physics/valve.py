@@ -1,4 +1,4 @@
-r"""Valves: rotary valve kinematics (1)-(2), on-off valves.
+r"""Rotary valve kinematics (1)-(2).
 
 The angle theta = 2 pi Omega_p t of the valve runs once round per period. A `Profile` is any piecewise-linear
 function of it, jumps included. Port m of a rotary valve opens way i into inner volume k by the area a_mk(theta); all
@@ -180,51 +180,6 @@ class RotaryValve(Value):
             if port.phase == "on":
                 overlap = overlap.minimum(self.window(port).profile)
         return support(overlap)
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class OnOffValve(Value):
-    """A valve that is on for a share `duty` of the period, in one piece or in several pulses.
-
-    Parameters
-    ----------
-    duty : float
-        On-time over period [-], 0 to 1.
-    ramp : float
-        Angle over which its paths open and close [rad].
-    start : float
-        Angle at which it goes on [rad]: the phase between valves, where there are several.
-    pulses : Pulses or None
-        Instead of `duty` and `start`, which are then theirs.
-    """
-
-    duty: float = 0.5
-    ramp: float = 0.0
-    start: float = 0.0
-    pulses: Pulses | None = None
-
-    def __post_init__(self) -> None:
-        not_negative("ramp", self.ramp, "rad")
-        finite("start", self.start, "rad")
-        if self.pulses is not None:
-            object.__setattr__(self, "duty", min(self.pulses.width / TURN, 1.0))
-            object.__setattr__(self, "start", self.pulses.edges[0])
-        check_duty(self.duty)
-
-    def with_duty(self, duty: float) -> "OnOffValve":
-        """Return the valve with another duty cycle, in one piece."""
-        return replace(self, duty=check_duty(duty), pulses=None)
-
-    def with_pulses(self, pulses: Iterable[tuple[float, float]]) -> "OnOffValve":
-        """Return the valve on from angle to angle [rad]."""
-        return replace(self, pulses=check_pulses(pulses, self.ramp))
-
-    def on_window(self) -> Window | Pulses:
-        """Return the arcs over which the valve is on."""
-        if self.pulses is not None:
-            return self.pulses
-        return Window(start=self.start, width=TURN * self.duty, ramp=self.ramp)
 
 
 def check_duty(duty: float, name: str = "duty") -> float:

@@ -27,22 +27,34 @@ class Window(Value):
     ramp : float
         Arc over which the edge passes the port [rad]; 0 opens and closes at once. A window narrower than two
         ramps does not open fully.
+    closing_ramp : float or None
+        Of closing, where that is another [rad].
     """
 
     start: float
     width: float
     ramp: float = 0.0
+    closing_ramp: float | None = None
 
     def __post_init__(self) -> None:
         finite("start", self.start, "rad")
         if not 0 <= finite("width", self.width, "rad") <= TURN * (1 + 1e-12):
             raise ValueError(f"width: found {self.width:g} rad, expected 0 to 2 pi")
         not_negative("ramp", self.ramp, "rad")
+        not_negative("closing_ramp", self.ramps[1], "rad")
+
+    @property
+    def ramps(self) -> tuple[float, float]:
+        """Arcs of opening and of closing [rad]."""
+        return self.ramp, self.ramp if self.closing_ramp is None else self.closing_ramp
 
     @property
     def complement(self) -> "Window":
-        """The rest of the turn, with the same ramp."""
-        return Window(start=self.start + self.width, width=max(TURN - self.width, 0.0), ramp=self.ramp)
+        """The rest of the turn, which opens as this one closes and closes as it opens."""
+        width = max(TURN - self.width, 0.0)
+        if self.closing_ramp is None:
+            return Window(start=self.start + self.width, width=width, ramp=self.ramp)
+        return Window(start=self.start + self.width, width=width, ramp=self.closing_ramp, closing_ramp=self.ramp)
 
     @cached_property
     def profile(self) -> Profile:
@@ -54,8 +66,9 @@ class Window(Value):
         at = middle + shift
         opening = np.ones_like(at)
         # A ramp shorter than what tells two angles apart is a jump.
-        if self.ramp > SAME_ANGLE:
-            opening = np.minimum(1.0, np.minimum(at, self.width - at) / self.ramp)
+        for ramp, way in zip(self.ramps, (at, self.width - at), strict=True):
+            if ramp > SAME_ANGLE:
+                opening = np.minimum(opening, way / ramp)
         return np.where(middle < self.width, np.maximum(opening, 0.0), 0.0)
 
 
@@ -68,8 +81,11 @@ def opened(windows: Sequence[Window]) -> Profile:
         return Profile.constant(0.0)
     corners: list[float] = []
     for window in windows:
-        ramp = min(window.ramp, window.width / 2)
-        corners += [window.start, window.start + ramp, window.start + window.width - ramp, window.start + window.width]
+        rise, fall = window.ramps
+        if rise + fall > window.width:
+            # So narrow that it begins to close before it has opened, where both ramps are as far open.
+            rise, fall = window.width * rise / (rise + fall), window.width * fall / (rise + fall)
+        corners += [window.start, window.start + rise, window.start + window.width - fall, window.start + window.width]
     angles = merge_angles(np.array(corners) % TURN)
     middles = (angles[:-1] + angles[1:]) / 2
     half = np.diff(angles) / 2
@@ -91,7 +107,7 @@ class Pulses(Value):
     ----------
     edges : tuple of float
         Angles of opening and closing in turn [rad], rising; the last at most a turn after the first.
-    ramp : float
+    ramp, closing_ramp : float
         As of `Window`.
 
     Examples
@@ -102,6 +118,7 @@ class Pulses(Value):
 
     edges: tuple[float, ...]
     ramp: float = 0.0
+    closing_ramp: float | None = None
 
     def __post_init__(self) -> None:
         edges = tuple(finite(f"edges[{i}]", edge, "rad") for i, edge in enumerate(self.edges))
@@ -127,14 +144,22 @@ class Pulses(Value):
 
     @property
     def complement(self) -> "Pulses":
-        """The rest of the turn, with the same ramp."""
-        return Pulses(edges=(*self.edges[1:], self.edges[0] + TURN), ramp=self.ramp)
+        """The rest of the turn, which opens as this closes and closes as it opens."""
+        edges = (*self.edges[1:], self.edges[0] + TURN)
+        if self.closing_ramp is None:
+            return Pulses(edges=edges, ramp=self.ramp)
+        return Pulses(edges=edges, ramp=self.closing_ramp, closing_ramp=self.ramp)
 
     @cached_property
     def profile(self) -> Profile:
         """The opening over the turn, 0 (shut) to 1 (fully open)."""
         pairs = zip(self.edges[::2], self.edges[1::2], strict=True)
-        return opened([Window(start=on, width=min(off - on, TURN), ramp=self.ramp) for on, off in pairs])
+        return opened(
+            [
+                Window(start=on, width=min(off - on, TURN), ramp=self.ramp, closing_ramp=self.closing_ramp)
+                for on, off in pairs
+            ]
+        )
 
 
 def check_pulses(pulses: Iterable[tuple[float, float]], ramp: float) -> Pulses:

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ltvpneu.physics.on_off_valve import OnOffValve
 from ltvpneu.physics.profile import TURN, Profile
-from ltvpneu.physics.valve import OnOffValve, Port, RotaryValve
+from ltvpneu.physics.valve import Port, RotaryValve
 from ltvpneu.physics.window import Window
 
 angles = st.floats(0, TURN)

@@ -41,6 +41,8 @@ class Slots(NamedTuple):
 
 def two_positions(machine: Machine) -> FloatArray:
     """Return the areas with the valve off and on, (2, 2, n_paths)."""
+    if machine.has_switching_times:
+        raise ValueError("machine: found a valve with delays or travel times, expected one that switches at once")
     tables = [machine.with_duty(duty).openings for duty in (0.0, 1.0)]
     for table in tables:
         if table.fractions.size != 2 or table.ramped.any():

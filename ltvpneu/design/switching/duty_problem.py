@@ -379,8 +379,10 @@ def duty_problem(
     0.47 45 mm
     """
     valve = ValveLimits() if valve is None else valve
-    bounds = dict(default_variables(machine) if variables is None else variables)
     asked: Any = frequency
+    if not isinstance(asked, tuple | list):
+        machine = machine.at(positive("frequency", cast(float, frequency), "Hz"))
+    bounds = dict(default_variables(machine) if variables is None else variables)
     if isinstance(asked, tuple | list):
         if "frequency" in bounds:
             raise ValueError("frequency: found bounds here and among the variables, expected them in one of the two")
@@ -396,9 +398,12 @@ def duty_problem(
     expect_one_way_to_switch(machine, bounds)
     for name, pair in bounds.items():
         check_bounds(machine, present, name, pair)
+    slowest = bounds["frequency"][0] if "frequency" in bounds else present
+    machine = machine.at(slowest)
+    if machine.has_switching_times and (valve.opening_delay or valve.closing_delay):
+        raise ValueError("valve: found delays here and in the machine's own valve, expected them in one of the two")
     if "duty" in bounds:
         bounds["duty"] = drawn_in(machine, bounds["duty"])
     problem = DutyProblem(machine, present, bounds, dict(scenarios or {}), valve)
-    slowest = bounds["frequency"][0] if "frequency" in bounds else present
     problem.limits.update(pulse_limits(machine, slowest, problem.variables, valve))
     return problem

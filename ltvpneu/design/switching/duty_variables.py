@@ -14,6 +14,7 @@ from ltvpneu._arrays import finite
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import is_angle, present_value, pulse_edge, pulse_edges, with_values
+from ltvpneu.physics.on_off_valve import OnOffValve
 from ltvpneu.physics.proportional import Command
 from ltvpneu.physics.valve import RotaryValve
 
@@ -34,8 +35,24 @@ def least_shares(machine: Machine) -> tuple[float, float]:
         own = getattr(valve, "ramp", 0.0)
         ramps = [(path.opening, own) for path in machine.flow_paths if path.valve == 0]
     ramps_on, ramps_off = (max([ramp for way, ramp in ramps if way == phase], default=0.0) for phase in ("on", "off"))
+    shortest_on, shortest_off = shortest_commands(machine)
+    speed = machine.switching_frequency or 0.0
     # A ramp up and one down, and between them as much as any pulse has to last.
-    return ramps_on / math.pi + LEAST_WIDTH, ramps_off / math.pi + LEAST_WIDTH
+    least_on, least_off = (
+        max(ramp / math.pi, time * speed) + LEAST_WIDTH
+        for ramp, time in ((ramps_on, shortest_on), (ramps_off, shortest_off))
+    )
+    return least_on, least_off
+
+
+def shortest_commands(machine: Machine) -> tuple[float, float]:
+    """Return the shortest command on, and off, that opens the machine's valve fully, and shuts it [s]."""
+    valve = machine.valve
+    if not isinstance(valve, OnOffValve):
+        return 0.0, 0.0
+    lag = valve.opening_delay - valve.closing_delay
+    on, off = max(valve.opening_delay, lag + valve.opening_time), max(valve.closing_delay, valve.closing_time - lag)
+    return (on, off) if valve.has_times else (0.0, 0.0)
 
 
 def drawn_in(machine: Machine, pair: Bounds) -> Bounds:
@@ -135,8 +152,9 @@ def pulse_limits(
     """
     frequency: Any = variables.get("frequency", cp.Constant(slowest))
     # A command shorter than the valve's delay does not reach it.
-    shortest_on = max(valve.shortest_on, valve.opening_delay)
-    shortest_off = max(valve.shortest_off, valve.closing_delay)
+    own_on, own_off = shortest_commands(machine)
+    shortest_on = max(valve.shortest_on, valve.opening_delay, own_on)
+    shortest_off = max(valve.shortest_off, valve.closing_delay, own_off)
     if (shortest_on + shortest_off) * slowest > 1:
         raise ValueError(
             f"valve: found shortest times of {shortest_on:g} s on and {shortest_off:g} s off, delays counted in, more "

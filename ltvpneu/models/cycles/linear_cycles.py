@@ -48,7 +48,7 @@ class LinearCycles:
         distance: float = LEAST_DISTANCE,
         change: Callable[[Machine], Machine] | None = None,
     ) -> None:
-        self.machine, self.frequency, self.distance, self._change = machine, frequency, distance, change
+        self.machine, self.frequency, self.distance, self._change = machine.at(frequency), frequency, distance, change
         self.mode: OwnCycle = mode
         self.steps_per_position = steps_per_position
         self._start: FloatArray | None = None
@@ -126,7 +126,13 @@ class LinearCycles:
         """Return how the durations of the cells of one turn follow a parameter [s], (n_cells,)."""
         question, cells = cycle.question, cycle.cells
         if name == "frequency":
-            return -np.diff(cells) / question.frequency**2
+            slopes = -np.diff(cells) / question.frequency**2
+            if not question.machine.has_switching_times:
+                return slopes
+            # Times in seconds are other angles at another frequency.
+            high, low = around(name, question.frequency)
+            up, down = (cycle.changed_at({**cycle.settings, name: moved})[1] for moved in (high, low))
+            return slopes + np.diff(up - down) / ((high - low) * question.frequency)
         if is_angle(name):
             return np.diff(self._cell_slopes(cycle, name)) / question.frequency
         # A ramp, or a point of a command, moves the pieces too; pressures and the like do not.

@@ -38,7 +38,7 @@ class NonlinearCycles:
     """
 
     def __init__(self, machine: Machine, frequency: float, change: Callable[[Machine], Machine] | None = None) -> None:
-        self.machine, self.frequency, self._change = machine, frequency, change
+        self.machine, self.frequency, self._change = machine.at(frequency), frequency, change
         self._start: FloatArray | None = None
 
     def _changed(self, machine: Machine) -> Machine:

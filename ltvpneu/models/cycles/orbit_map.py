@@ -293,6 +293,7 @@ def grid_of(duties: ArrayLike, frequencies: ArrayLike) -> tuple[FloatArray, Floa
 
 def _lyapunov_exponent(machine: Machine, frequency: float, state: FloatArray) -> float:
     """Return the mean logarithm by which a neighbour draws away in a valve period, set near again after each."""
+    machine = machine.at(frequency)
     pieces = pieces_of(machine.openings, 1 / frequency)
     run = new_run(machine.record, integration_settings(machine, 1e-11), pieces)
     scales = machine.state_scales

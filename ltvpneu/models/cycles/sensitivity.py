@@ -146,6 +146,7 @@ def nonlinear_sensitivity(
     machine: Machine, frequency: float, parameters: Sequence[str] = PARAMETERS
 ) -> ParameterSensitivity:
     """Return the derivatives of the nonlinear model's orbit; parameters and errors as of `parameter_sensitivity`."""
+    machine = machine.at(frequency)
     orbit = nonlinear_orbit(machine, frequency, method=DormandPrince(rtol=TOLERANCE))
     return _along_the_cycle(nonlinear_jacobians(machine, frequency, orbit, parameters), machine, frequency, parameters)
 
@@ -154,6 +155,7 @@ def nonlinear_jacobians(machine: Machine, frequency: float, orbit: Orbit, parame
     """Return how one turn of the nonlinear machine's orbit depends on its start and on parameters."""
     _expect_names(parameters)
     _expect_unique(orbit)
+    machine = machine.at(frequency)
 
     def period(start: FloatArray, machine: Machine, frequency: float) -> tuple[FloatArray, Trajectory]:
         state, record = nonlinear_turn(start, machine, frequency, orbit.n_periods)

@@ -130,6 +130,7 @@ def _moved(machine: Machine, frequency: float, name: str) -> tuple[tuple[tuple[M
     value = present_value(machine, frequency, name)
     if name == "frequency":
         step = STEP * value
-        return ((machine, frequency + step), (machine, frequency - step)), 2 * step
+        up, down = frequency + step, frequency - step
+        return ((machine.at(up), up), (machine.at(down), down)), 2 * step
     high, low = around(name, value)
     return tuple((with_values(machine, {name: moved}), frequency) for moved in (high, low)), high - low

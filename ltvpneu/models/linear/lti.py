@@ -52,6 +52,7 @@ def lti_model(
     >>> print(f"{1e3 * orbit.amplitude('position'):.0f} mm")
     50 mm
     """
+    machine = machine.at(positive("frequency", frequency, "Hz"))
     turn = quasi_static_turn(machine, n_steps)
     model = lti_model_of_turn(machine, frequency, turn, about_operating_point, least_distance)
     return warn_outside(model, turn.mean_balance)

@@ -105,7 +105,7 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     >>> print(f"{1e3 * model.orbit.amplitude('position'):.1f} mm")
     35.2 mm
     """
-    positive("frequency", frequency, "Hz")
+    machine = machine.at(positive("frequency", frequency, "Hz"))
     not_negative("least_distance", least_distance)
     if spacing not in ("adaptive", "even"):
         raise ValueError(f'spacing: found {spacing!r}, expected "adaptive" or "even"')

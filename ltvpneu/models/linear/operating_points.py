@@ -69,7 +69,7 @@ def quasi_static_states(machine: Machine, areas: FloatArray) -> FloatArray:
 def _balanced(machine: Machine, states: FloatArray) -> FloatArray:
     """Return the positions at which the spring balances the states' pressures [m], (n_steps,)."""
     load, pushes = machine.load, np.array([volume.push_area for volume in machine.volume_fields])
-    force = load.force + machine.cylinder.ambient_push_area * machine.ambient_pressure
+    force = load.constant_force + machine.cylinder.ambient_push_area * machine.ambient_pressure
     return (states[:, 2 : 2 + machine.n_volumes] @ pushes + force) / load.spring_stiffness
 
 

@@ -47,10 +47,12 @@ from ltvpneu.physics.iso6358 import NOZZLES, PathLaw
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
 from ltvpneu.physics.medium import LAMINAR, MAX_TABLE, Medium, MediumFields, check_process, warn_if_cold
+from ltvpneu.physics.on_off_valve import OnOffValve
 from ltvpneu.physics.proportional import Command, ProportionalValve
 from ltvpneu.physics.real_gas import RealGas
 from ltvpneu.physics.thermal import EnergyBalance
-from ltvpneu.physics.valve import OnOffValve, RotaryValve
+from ltvpneu.physics.valve import RotaryValve
+from ltvpneu.physics.window import Pulses, Window
 
 Valve = RotaryValve | OnOffValve | ProportionalValve
 
@@ -81,6 +83,8 @@ class Machine(Value):
         How the inner volume of a rotary valve is collapsed to a point: by the smaller effective area (2), or by solving
         for the pressure between two restrictions that pass the same flow. "dynamic" keeps it as a volume of its own,
         with a pressure of its own, of the size that the valve's `inner_volumes` give.
+    switching_frequency : float or None
+        At which its valves switch [Hz]: it turns delays in seconds into angles. Functions that take a frequency set it.
 
     Examples
     --------
@@ -101,8 +105,14 @@ class Machine(Value):
     more_valves: tuple[OnOffValve | ProportionalValve, ...] = ()
     collapse: Collapse = "minimum"
     ambient_pressure: float = ATMOSPHERE
+    switching_frequency: float | None = None
 
     def __post_init__(self) -> None:
+        if self.exhaust_pressure == 0:
+            raise ValueError(
+                "exhaust_pressure: found 0 Pa, expected a finite number above zero, for pressures are absolute; was "
+                "that of the ambient air meant, 0 bar(g)?"
+            )
         positive("exhaust_pressure", self.exhaust_pressure, "Pa")
         not_negative("ambient_pressure", self.ambient_pressure, "Pa")
         positive("supply_pressure", self.supply_pressure, "Pa")
@@ -114,6 +124,8 @@ class Machine(Value):
             )
         if self.collapse not in COLLAPSES:
             raise ValueError(f'collapse: found {self.collapse!r}, expected "minimum", "in_series" or "dynamic"')
+        if self.switching_frequency is not None:
+            positive("switching_frequency", self.switching_frequency, "Hz")
         self._check_connections()
         self._check_medium()
         self._check_room()
@@ -189,6 +201,18 @@ class Machine(Value):
     def with_duty(self, duty: float) -> "Machine":
         """Return the machine with the open window [0, 2 pi duty], 0 <= duty <= 1, whatever the valve's geometry."""
         return replace(self, valve=self.valve.with_duty(duty))
+
+    def at(self, frequency: float) -> "Machine":
+        """Return the machine as its valves switch at a frequency [Hz]; without delays in seconds that is itself."""
+        if not self.has_switching_times or frequency == self.switching_frequency:
+            return self
+        return replace(self, switching_frequency=positive("frequency", frequency, "Hz"))
+
+    def open_share(self, frequency: float) -> float:
+        """Return the share of the period for which its valve is open at a frequency [Hz]: the duty less the delays."""
+        if isinstance(self.valve, OnOffValve):
+            return self.valve.open_share(positive("frequency", frequency, "Hz"))
+        return self.duty
 
     def with_offset(self, offset_angle: float) -> "Machine":
         """Return the machine with offset angle theta_s [rad] between the valve's stator and housing.
@@ -290,7 +314,7 @@ class Machine(Value):
 
     @property
     def duty(self) -> float:
-        """On-time of the valve over the period [-]."""
+        """Commanded on-time of the valve over the period [-]; `open_share` counts its delays in."""
         return self.valve.on_window().width / (2 * math.pi)
 
     @property
@@ -352,7 +376,7 @@ class Machine(Value):
     @cached_property
     def levels(self) -> FloatArray:
         """Values of the inputs, shape (4,)."""
-        given = (self.supply_pressure, self.exhaust_pressure, self.load.force, self.ambient_pressure)
+        given = (self.supply_pressure, self.exhaust_pressure, self.load.constant_force, self.ambient_pressure)
         return read_only(np.array(given, dtype=np.float64))
 
     @cached_property
@@ -371,10 +395,25 @@ class Machine(Value):
     def connections(self) -> tuple[Connection, ...]:
         """Every path of flow, with its effective areas over the turn."""
         found = [through_valve(route, cast(RotaryValve, self.valve), self.collapse) for route in self._routes]
-        on = [valve.on_window() for valve in (self.valve, *self.more_valves)]
+        on = [self._open_window(valve) for valve in (self.valve, *self.more_valves)]
         for path in self.flow_paths:
             found.append(path.connection(on[path.valve]))
         return tuple(found)
+
+    @property
+    def has_switching_times(self) -> bool:
+        """Whether a valve has delays or travel times in seconds."""
+        return any(isinstance(valve, OnOffValve) and valve.has_times for valve in (self.valve, *self.more_valves))
+
+    def _open_window(self, valve: Valve) -> Window | Pulses | Command:
+        if not isinstance(valve, OnOffValve) or not valve.has_times:
+            return valve.on_window()
+        if self.switching_frequency is None:
+            raise ValueError(
+                "valve: found times in seconds, whose angles depend on the switching frequency; expected "
+                "machine.at(frequency)"
+            )
+        return valve.open_window(self.switching_frequency)
 
     @cached_property
     def openings(self) -> OpeningTable:
@@ -436,7 +475,7 @@ class Machine(Value):
                 viscous_damping=load.viscous_damping,
                 dry_friction=load.dry_friction,
                 stiction=load.stiction,
-                force=load.force,
+                force=load.constant_force,
                 ambient_push_area=c.ambient_push_area,
                 ambient_pressure=self.ambient_pressure,
                 lower_stop=c.lower_stop,

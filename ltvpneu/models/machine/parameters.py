@@ -43,7 +43,7 @@ def present_value(machine: Machine, frequency: float, name: str) -> float:
 
 
 def with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
-    """Return the machine with parameters at other values; a "frequency" among them is no part of it."""
+    """Return the machine with parameters at other values; a "frequency" among them is that at which it switches."""
     edges = list(pulse_edges(machine)) if any(pulse_edge(name) is not None for name in values) else []
     for name, value in values.items():
         edge = pulse_edge(name)
@@ -53,7 +53,9 @@ def with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
             machine = machine.with_duty(value)
         elif name == "offset_angle":
             machine = machine.with_offset(value)
-        elif name != "frequency":
+        elif name == "frequency":
+            machine = machine.at(value)
+        else:
             machine = _replaced(machine, name.split("."), value)
     return machine.with_pulses(list(zip(edges[::2], edges[1::2], strict=True))) if edges else machine
 

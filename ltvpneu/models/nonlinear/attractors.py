@@ -172,6 +172,7 @@ def attractors(  # noqa: PLR0913 - keyword-only, each with its default
             raise ValueError("starts: found none, expected one state or more")
         for i, state in enumerate(states):
             check_state(machine, state, f"starts[{i}]")
+    machine = machine.at(frequency)
     search = _Search(machine, float(frequency))
     reached = np.full(len(states), -1, dtype=np.int64)
     failures: list[FailedPoint] = []

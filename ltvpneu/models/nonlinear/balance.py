@@ -117,6 +117,7 @@ def balance(machine: Machine, orbit: Orbit, *, rtol: float = 1e-12) -> Balance:
         raise ValueError(
             f"orbit: found states {', '.join(orbit.states)}, expected the machine's: {', '.join(machine.states)}"
         )
+    machine = machine.at(1 / orbit.system_period)
     pieces = pieces_of(machine.openings, orbit.system_period)
     settings = integration_settings(machine, positive("rtol", rtol))
     # Without the floor that orbits keep under pressures near a source's: what it leaves uncounted is looked for here.

@@ -71,6 +71,7 @@ def orbit_floquet(machine: Machine, orbit: Orbit) -> Floquet:
             f"orbit: found one of {orbit.name}, a linear model; expected one of nonlinear_orbit. Of a linear model, "
             "take lp.cycle_floquet(model)"
         )
+    machine = machine.at(1 / orbit.system_period)
     return orbit_multipliers(orbit, _Factors(machine, orbit, trajectory).maps(), NEUTRAL)
 
 

@@ -86,7 +86,7 @@ def positions_of_rest(machine: Machine) -> tuple[float, float]:
             upper = min(upper, 0.999 * edge)
     if load.spring_stiffness > 0:
         hold = holding_force(load.dry_friction, load.stiction)
-        rest = load.force + machine.cylinder.ambient_push_area * machine.ambient_pressure
+        rest = load.constant_force + machine.cylinder.ambient_push_area * machine.ambient_pressure
         ends = np.outer(
             [volume.push_area for volume in machine.volume_fields], [machine.exhaust_pressure, machine.supply_pressure]
         )

@@ -129,7 +129,7 @@ def nonlinear_orbit(
     2
     """
     period = 1 / positive("frequency", frequency, "Hz")
-    settings = _settings(machine, period, method)
+    machine, settings = machine.at(frequency), _settings(machine, period, method)
     start = _initial_state(machine, initial_state)
     run = new_run(machine.record, settings, pieces_of(machine.openings, period))
     scales = machine.state_scales
@@ -234,7 +234,7 @@ def simulate(  # noqa: PLR0913 - one call for one transient
     0.5 s
     """
     period = 1 / positive("frequency", frequency, "Hz")
-    n_periods = whole("n_periods", n_periods)
+    n_periods, machine = whole("n_periods", n_periods), machine.at(frequency)
     settings = _settings(machine, period, method)
     state = _initial_state(machine, initial_state)
     machines = [machine] * n_periods

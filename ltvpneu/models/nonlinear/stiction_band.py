@@ -77,6 +77,7 @@ def stiction_band(machine: Machine, frequency: float) -> StictionBand:
     """
     positive("frequency", frequency, "Hz")
     load = machine.load
+    machine = machine.at(frequency)
     held = replace(machine, load=replace(load, stiction=1e12))
     hold = holding_force(load.dry_friction, load.stiction)
 
