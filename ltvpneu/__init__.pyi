@@ -18,6 +18,9 @@ from .face.machine_file import load_machine as load_machine
 from .face.plots import plot as plot
 from .models.cycles.amplitude import AmplitudeResponse as AmplitudeResponse
 from .models.cycles.amplitude import amplitude_response as amplitude_response
+from .models.cycles.data_sheet import DataSheet as DataSheet
+from .models.cycles.data_sheet import balance_duty as balance_duty
+from .models.cycles.data_sheet import data_sheet as data_sheet
 from .models.cycles.floquet import cycle_floquet as cycle_floquet
 from .models.cycles.orbit_map import Branch as Branch
 from .models.cycles.orbit_map import OrbitMap as OrbitMap
@@ -48,6 +51,8 @@ from .models.nonlinear.simulation import nonlinear_orbit as nonlinear_orbit
 from .models.nonlinear.simulation import simulate as simulate
 from .models.nonlinear.stiction_band import StictionBand as StictionBand
 from .models.nonlinear.stiction_band import stiction_band as stiction_band
+from .models.nonlinear.stroke import Stroke as Stroke
+from .models.nonlinear.stroke import stroke as stroke
 from .periodic.floquet import Floquet as Floquet
 from .periodic.floquet import floquet as floquet
 from .periodic.floquet import monodromy as monodromy

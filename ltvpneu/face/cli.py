@@ -1,4 +1,4 @@
-"""The command line: `ltvpneu study`, `stability`, `optimize`, `sweep` and `warm`."""
+"""The command line: `ltvpneu drive`, `simulate`, `study`, `stability`, `optimize`, `sweep` and others."""
 
 import argparse
 import importlib
@@ -13,6 +13,7 @@ from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.machine_text import bundled_machines, machine_text, parsed
 from ltvpneu.models.linear.modes import MODES
 
+DRIVE_COMMANDS = ("drive", "simulate", "new", "machines", "schema")
 BAD_INPUT = 2
 """Exit code; 0 and 1 are those of the commands."""
 
@@ -32,7 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # What can be said at once is said before anything is loaded that takes time.
             if machine:
                 parsed(*machine_text(machine))
-            run: int = getattr(importlib.import_module("ltvpneu.face.commands"), options.command)(options)
+            room = "drive_commands" if options.command in DRIVE_COMMANDS else "commands"
+            run: int = getattr(importlib.import_module(f"ltvpneu.face.{room}"), options.command)(options)
             return run
     except (LtvpneuError, ValueError, TypeError, OSError, ImportError) as error:
         print(f"ltvpneu {options.command}: error: {_located(str(error), machine)}", file=sys.stderr)
@@ -103,9 +105,58 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--out", type=Path, default=Path("sweep"), metavar="DIR", help="folder (default: sweep)")
     _add_model(sweep, "fitted")
 
+    _add_drive_commands(commands, machine_help)
+
     warm = commands.add_parser("warm", help="compile the machine's equations ahead of use, and keep them on disk")
     warm.add_argument("--jobs", type=int, metavar="N", help="processes at work (default: one for each core)")
     return parser
+
+
+def _add_drive_commands(commands: Any, machine_help: str) -> None:
+    drive = commands.add_parser("drive", help="what a drive does, on one screen: strokes, air, what its duty holds")
+    drive.add_argument("machine", metavar="MACHINE", help=machine_help)
+    drive.add_argument("--frequency", type=float, metavar="HZ", help="switching frequency [Hz]")
+    drive.add_argument("--price", type=float, metavar="P", help="of a cubic metre of air at ANR (default: 0.02)")
+    drive.add_argument("--life", type=float, metavar="N", help="switches that the valve is good for, such as 50e6")
+    drive.add_argument(
+        "--out", type=Path, default=Path("drive"), metavar="DIR", help="folder for two pictures (default: drive)"
+    )
+    drive.add_argument("--json", action="store_true", help="print all figures as JSON, in SI units")
+
+    simulate = commands.add_parser("simulate", help="follow a drive over time: a picture and a table of numbers (CSV)")
+    simulate.add_argument("machine", metavar="MACHINE", help=machine_help)
+    simulate.add_argument("--duty", type=float, metavar="D", help="duty cycle, 0 to 1 (default: the machine's own)")
+    simulate.add_argument("--duration", type=float, required=True, metavar="S", help="how long [s]")
+    simulate.add_argument(
+        "--frequency", type=float, metavar="HZ", help="switching frequency [Hz] (default: one period in all)"
+    )
+    simulate.add_argument(
+        "--from", dest="start", choices=("rest", "retracted", "extended"), default="rest",
+        help="start: at rest at exhaust pressure, or on a stop with the valve long in its other position",
+    )  # fmt: skip
+    simulate.add_argument(
+        "--out", type=Path, default=Path("simulate"), metavar="DIR", help="folder (default: simulate)"
+    )
+    simulate.add_argument("--json", action="store_true", help="print times and states as JSON instead, in SI units")
+
+    new = commands.add_parser("new", help="print a commented machine file to start from")
+    for name, unit, text in (
+        ("bore", "MM", "diameter of the piston [mm]"), ("rod", "MM", "diameter of the rod [mm]; 0 for none"),
+        ("stroke", "MM", "[mm]"), ("mass", "KG", "moving mass [kg]"), ("C", "C", "sonic conductance [dm^3/(s bar)]"),
+        ("b", "B", "critical pressure ratio"), ("clearance", "PERCENT", "volume left at the ends [%%]"),
+    ):  # fmt: skip
+        new.add_argument(f"--{name}", type=float, metavar=unit, help=text)
+    new.add_argument("--name", help="of the machine")
+    new.add_argument("--mounting", help='"horizontal", "up", "down" or an angle such as "30 deg"')
+    new.add_argument("--valve", metavar="TYPE", help='such as 5/2, 3/2 or "5/3 closed"')
+    new.add_argument("--model", help='a bundled valve, such as "SMC SY3000"; `ltvpneu machines` lists them')
+    new.add_argument("--supply", help='such as "6 bar(g)"')
+    new.add_argument("--delay", type=float, nargs=2, metavar=("ON", "OFF"), help="delays of the valve [ms]")
+    new.add_argument("--friction", type=float, nargs=2, metavar=("DRY", "STICTION"), help="[N]")
+
+    machines = commands.add_parser("machines", help="list the bundled machines and valves")
+    machines.add_argument("--json", action="store_true", help="as JSON")
+    commands.add_parser("schema", help="print the JSON Schema of machine files, for editors")
 
 
 def _add_goals(parser: argparse.ArgumentParser) -> None:

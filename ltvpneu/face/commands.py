@@ -11,10 +11,11 @@ from tqdm import tqdm
 from ltvpneu.errors import NotConvergedError
 from ltvpneu.face.machine_file import load_machine
 from ltvpneu.face.optimize import optimum_text, parse_request, run_request, write_optimum
-from ltvpneu.face.report import LABELS, depends, multipliers_text, remarks, study_text, table
+from ltvpneu.face.report import LABELS, depends, multipliers_text, remarks, study_text
 from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
 from ltvpneu.face.study_data import study_data
 from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
+from ltvpneu.face.tables import table
 from ltvpneu.models.cycles.floquet import cycle_floquet
 from ltvpneu.models.cycles.orbit_map import MAP_SPREAD
 from ltvpneu.models.linear.ltv import OperatingPoints, ltv_model

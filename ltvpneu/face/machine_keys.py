@@ -34,7 +34,8 @@ MACHINE = {
     "source": Key(str, "where the numbers are from", example='"catalog page 12"'),
     "supply_pressure": Key("pressure", "absolute, or gauge with (g)", True, '"6 bar(g)"'),
     "exhaust_pressure": Key("pressure", "absolute, or gauge with (g)", True, '"0 bar(g)"'),
-    "ambient_pressure": Key("pressure", "of the air around, absolute; gauge pressures count from it"),
+    "ambient_pressure": Key("pressure", "of the air around, absolute; gauge pressures count from it",
+                            example='"1.013 bar"'),
     "collapse": Key(str, "of a rotary valve's inner volumes", example='"minimum"', choices=COLLAPSES),
     "gas": Key(dict, "the medium, where it is a gas", table="gas"),
     "liquid": Key(dict, "the medium, where it is a liquid", table="liquid"),
@@ -43,7 +44,7 @@ MACHINE = {
     "valve": Key(dict, "what switches", True, table="valve"),
     "flow_paths": Key(list, "restrictions beside the valve's own", table="flow_path"),
     "more_valves": Key(list, "further valves, for flow paths that name them by number", table="on_off"),
-}
+}  # fmt: skip
 GAS = {
     "heat_capacity_ratio": Key("number", "air: 1.4"),
     "specific_gas_constant": Key("gas constant", "air: 287.05 J/(kg K)"),
@@ -83,13 +84,15 @@ TUBE = {
     "inner_diameter": Key("length", "of the tube", True, '"4 mm"'),
     "friction_factor": Key("number", "of Darcy's law", example="0.02"),
 }
+_WALL = '{ heat_transfer_coefficient = "60 W/(m^2 K)", wall_area = "0.01 m^2" }'
 PROCESS = {
     "polytropic_exponent_1": Key("number", "of chamber 1: 1 isothermal, 1.4 adiabatic", example="1.0"),
     "polytropic_exponent_2": Key("number", "of chamber 2", example="1.0"),
-    "energy_balance_1": Key(dict, "instead of an exponent: the temperature is a state", table="energy_balance"),
-    "energy_balance_2": Key(dict, "likewise, of chamber 2", table="energy_balance"),
+    "energy_balance_1": Key(dict, "instead of an exponent: the temperature of chamber 1 is a state",
+                            example=_WALL, table="energy_balance"),
+    "energy_balance_2": Key(dict, "of chamber 2", example=_WALL, table="energy_balance"),
     "seal_friction_area": Key("area", "C_p, a change of area by the seals", example='"0 mm^2"'),
-}
+}  # fmt: skip
 BORE_CYLINDER = {
     "bore": Key("length", "diameter of the piston", True, '"32 mm"'),
     "rod": Key("length", "diameter of the rod, on the side of chamber 2", example='"12 mm"'),
@@ -159,6 +162,7 @@ SWITCHING = {
 }
 VALVE = {
     "type": Key(str, "ports / positions", True, '"5/2"', choices=DIRECTIONAL),
+    "model": Key(str, "a bundled valve: `ltvpneu machines` lists them; keys beside it win", example='"SMC SY3000"'),
     **LAW,
     **AREA,
     "exhaust": Key(dict, "from a chamber to the exhaust, where that is other than from the supply", table="law",

@@ -15,6 +15,11 @@ def bundled_machines() -> tuple[str, ...]:
     return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
 
 
+def bundled_valves() -> dict[str, dict[str, Any]]:
+    """Return what is known of each valve that comes with the package, by name, as in a file's `valve` table."""
+    return tomllib.loads((resources.files("ltvpneu") / "valves.toml").read_text(encoding="utf-8"))
+
+
 def machine_text(source: str | Path) -> tuple[str, str]:
     """Return the text of a machine file, or of a bundled machine, and the name that errors call it.
 

@@ -10,8 +10,9 @@ import numpy as np
 from tqdm import tqdm
 
 from ltvpneu.face.machine_text import nearest
-from ltvpneu.face.report import depends, heading, shown, table
+from ltvpneu.face.report import depends, shown
 from ltvpneu.face.study_data import attractors_data
+from ltvpneu.face.tables import heading, table
 from ltvpneu.face.units import Dimension, parse
 from ltvpneu.models.cycles.orbit_map import MAP_SPREAD, orbit_map
 from ltvpneu.models.machine.machine import Machine

@@ -7,6 +7,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.face.study import Case, Study
+from ltvpneu.face.tables import heading, table
 from ltvpneu.models.linear.error_estimate import ErrorEstimate
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import Attractors, describe
@@ -22,25 +23,6 @@ MOST_PLACES = 3
 REST_OF = 1e4
 """Ratio to the true amplitude from which on an estimated error says that the machine rests [-]."""
 LABELS = {"nonlinear": "nonlinear", "ltv": "LTV", "lti": "LTI"}
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return aligned columns: the first and remarks to the left, the others to the right."""
-    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
-
-    def line(row: Sequence[str]) -> str:
-        cells = [
-            cell.ljust(width) if column == 0 or header[column] == "remark" else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        return "  " + "   ".join(cells).rstrip()
-
-    return "\n".join([line(header), line(["-" * width for width in widths]), *(line(row) for row in rows)])
-
-
-def heading(text: str) -> str:
-    """Return a title with a line under it."""
-    return f"\n{text}\n{'=' * len(text)}\n"
 
 
 def study_text(study: Study) -> str:

@@ -10,8 +10,9 @@ from ltvpneu._values import Value
 from ltvpneu.design import DutyMap, DutySolution, StabilityMap, duty_map, optimize_duty, stability_map
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.optimize import optimum_data, optimum_text
-from ltvpneu.face.report import grouped_failures, heading, table
+from ltvpneu.face.report import grouped_failures
 from ltvpneu.face.study_data import failure_data, plain
+from ltvpneu.face.tables import heading, table
 from ltvpneu.models.cycles.orbit_map import DEPENDS
 from ltvpneu.models.machine.machine import Machine
 

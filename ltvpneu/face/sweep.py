@@ -10,8 +10,9 @@ import numpy as np
 from tqdm import tqdm
 
 from ltvpneu._values import Value
-from ltvpneu.face.report import grouped_failures, table
+from ltvpneu.face.report import grouped_failures
 from ltvpneu.face.study_data import failure_data, plain
+from ltvpneu.face.tables import table
 from ltvpneu.models.cycles.orbit_map import KINDS, Branch, OrbitMap, orbit_map
 from ltvpneu.models.cycles.validity_map import ValidityMap, validity_map
 from ltvpneu.models.linear.modes import OperatingPoints

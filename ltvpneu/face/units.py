@@ -107,6 +107,16 @@ def parse(value: object, dimension: Dimension, ambient: float = ATMOSPHERE) -> f
     raise ValueError(f"found {value!r} with the unknown unit {unit!r}, {hint}; known: {', '.join(_UNITS[dimension])}")
 
 
+def example_of(kind: object) -> str:
+    """Return a quantity of a dimension as it stands in a machine file; of another kind, an empty table."""
+    if kind == "number":
+        return _EXAMPLES["number"]
+    for dimension, example in _EXAMPLES.items():
+        if kind == dimension:
+            return f'"{example}"'
+    return "{}"
+
+
 def _normal(unit: str) -> str:
     """Spell a unit as in the table: powers with ^, products with a space."""
     unit = unit.replace("²", "^2").replace("³", "^3").replace("**", "^").replace("µ", "u").replace("°", "deg")

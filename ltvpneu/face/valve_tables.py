@@ -17,7 +17,7 @@ from ltvpneu.face.machine_keys import (
     VALVE,
 )
 from ltvpneu.face.machine_table import File, build, read_entry, read_pair, read_table
-from ltvpneu.face.machine_text import nearest
+from ltvpneu.face.machine_text import bundled_valves, nearest
 from ltvpneu.models.machine.connections import FlowPath
 from ltvpneu.models.machine.directional import DIRECTIONAL, Directional, directional_paths, has_both_outlets, n_coils
 from ltvpneu.models.machine.machine import Valve
@@ -74,6 +74,8 @@ def read_valve(
     data: dict[str, Any], cylinder: Cylinder, tubes: tuple[Tube | None, Tube | None], medium: Medium, file: File
 ) -> ReadValve:
     """Return what a file's `valve` table makes, for a cylinder with its tubes and a medium."""
+    if "model" in data:
+        data = _of_model(data, file)
     kind = data.get("type")
     if kind in ("on_off", "proportional"):
         return ReadValve(_plain_valve(data, file, "valve"))
@@ -87,6 +89,19 @@ def read_valve(
         f'{file}: valve.type: found {kind!r}{close}, expected "rotary", "on_off" or "proportional", or of a '
         f"directional valve {words}"
     )
+
+
+def _of_model(data: dict[str, Any], file: File) -> dict[str, Any]:
+    """Return a table with what is known of the bundled valve that it names; what the table says itself wins."""
+    known, name = bundled_valves(), data["model"]
+    if name not in known:
+        close = nearest(name, tuple(known)) if isinstance(name, str) else ""
+        raise MachineFileError(f"{file}: valve.model: found {name!r}{close}, expected one of {', '.join(known)}")
+    printed = {key: value for key, value in known[name].items() if key != "source"}
+    # Another way to say what it lets through takes the place of the one that is known.
+    if data.keys() & {"sonic_conductance", "nominal_flow", "Kv", "Cv", "area"}:
+        printed = {key: value for key, value in printed.items() if key not in LAW}
+    return {**printed, **{key: value for key, value in data.items() if key != "model"}}
 
 
 def read_more_valves(entries: list[Any], file: File) -> tuple[OnOffValve | ProportionalValve, ...]:

@@ -15,13 +15,11 @@ from ltvpneu.models.cycles.figures import CycleFigures, Figure, Slopes
 from ltvpneu.models.cycles.turns import TOLERANCE, nonlinear_turn, slopes_along_turn
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import with_values
-from ltvpneu.models.machine.supply_flow import source_flow
 from ltvpneu.models.nonlinear.integrator import Record
+from ltvpneu.models.nonlinear.mass_drawn import mass_drawn
 from ltvpneu.models.nonlinear.polynomial import polynomial_extremes
 from ltvpneu.models.nonlinear.simulation import DormandPrince, nonlinear_orbit, trajectory_of
 from ltvpneu.periodic.orbit import Orbit
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 @final
@@ -118,26 +116,9 @@ def _figure(record: Record, machine: Machine, frequency: float, asked: Figure) -
     if kind == "at":
         return float(trajectory_of(record).at(np.array([angle / (2 * np.pi) / frequency]))[state, 0])
     if kind == "air_use":
-        return _mass_drawn(record, machine, frequency) / float(np.sum(record.spans))
+        return mass_drawn(record, machine, frequency) / float(np.sum(record.spans))
     n_pieces = machine.openings.fractions.size - 1
     # Where edges have changed their order there may be fewer pieces than there were.
     within = record.pieces % n_pieces == piece if 0 <= piece < n_pieces else slice(None)
     low, high = polynomial_extremes(record.coefficients[within, :, state].copy(), record.spans[within].copy())
     return high if kind == "maximum" else low
-
-
-def _mass_drawn(record: Record, machine: Machine, frequency: float) -> float:
-    """Return the mass drawn from the supply [kg]."""
-    table = machine.openings
-    pieces = record.pieces % (table.fractions.size - 1)
-    local = 0.5 * (_NODES + 1) * record.spans[:, None]
-    states = np.einsum("itk,ikn->itn", local[:, :, None] ** np.arange(5), record.coefficients)
-    turn = np.mod(record.starts * frequency + 1e-12, 1.0)[:, None] + local * frequency
-    areas = table.areas_at(turn, np.broadcast_to(pieces[:, None], turn.shape))
-    flows = source_flow(
-        np.ascontiguousarray(states.reshape(-1, states.shape[2])),
-        np.ascontiguousarray(areas.reshape(-1, *areas.shape[2:])),
-        True,
-        machine.record,
-    )
-    return float((0.5 * _WEIGHTS * record.spans[:, None]).ravel() @ flows)

@@ -9,6 +9,7 @@ neighbours draw apart in a valve period: above zero it is chaos.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import final
 
@@ -161,10 +162,17 @@ class OrbitMap(Value):
         return sum(row.count(kind) for row in self.kinds)
 
 
-def orbit_map(
-    machine: Machine, duties: ArrayLike, frequencies: ArrayLike, *, n_spread: int = MAP_SPREAD,
+def orbit_map(  # noqa: PLR0913 - keyword-only, each with its default
+    machine: Machine,
+    duties: ArrayLike,
+    frequencies: ArrayLike,
+    *,
+    n_spread: int = MAP_SPREAD,
+    starts: ArrayLike | None = None,
+    fine: float = FINE,
+    max_periods: int = 5000,
     progress: Callable[[int], object] | None = None,
-) -> OrbitMap:  # fmt: skip
+) -> OrbitMap:
     """Return what kind of orbit the nonlinear machine settles on over duty and frequency, and whether on no other.
 
     Parameters
@@ -176,6 +184,12 @@ def orbit_map(
         [Hz], above zero.
     n_spread : int
         Starts spread over the stroke at each point, beside those of `attractors` at rest at zero and at the ends.
+    starts : array_like, shape (n_starts, n_states), optional
+        Instead of all these.
+    fine : float
+        Step of the duty [-] with which it looks closer where the piston may jump between two duties of the map.
+    max_periods : int
+        As of `attractors`.
     progress : callable, optional
         Called with 1 after each point, such as the `update` of a tqdm bar.
 
@@ -192,9 +206,13 @@ def orbit_map(
     arrays = {name: np.full(shape, np.nan) for name in names}
     kinds, failures = [["failed"] * shape[1] for _ in range(shape[0])], list[FailedPoint]()
     branches: list[list[tuple[Branch, ...]]] = [[()] * shape[1] for _ in range(shape[0])]
+
+    def found_at(frequency: float, duty: float) -> Attractors:
+        return attractors(machine.with_duty(duty), frequency, starts, n_spread=n_spread, max_periods=max_periods)
+
     for row, column in np.ndindex(shape):
         present, frequency = machine.with_duty(float(duty_grid[column])), float(frequency_grid[row])
-        found = attractors(present, frequency, n_spread=n_spread)
+        found = found_at(frequency, float(duty_grid[column]))
         first = found.failures[0].error if found.reached[0] < 0 else None
         branches[row][column] = _branches(found)
         kinds[row][column] = _kind(found)
@@ -215,7 +233,12 @@ def orbit_map(
         if progress is not None:
             progress(1)
     columns = [
-        _looked_closer(machine, float(frequency), duty_grid, branches[row], n_spread)
+        _looked_closer(
+            partial(found_at, float(frequency)),
+            duty_grid,
+            branches[row],
+            (machine.load.spring_stiffness == 0, fine),
+        )
         for row, frequency in enumerate(frequency_grid)
     ]
     return OrbitMap(
@@ -231,23 +254,24 @@ def orbit_map(
 
 
 def _looked_closer(
-    machine: Machine, frequency: float, duties: FloatArray, row: Sequence[tuple[Branch, ...]], n_spread: int
+    settled: Callable[[float], Attractors],
+    duties: FloatArray,
+    row: Sequence[tuple[Branch, ...]],
+    how: tuple[bool, float],
 ) -> tuple[tuple[float, tuple[float, ...]], ...]:
     """Return duties and means, with duties between two of the map's where the piston may jump from one to the other."""
-    order = np.argsort(duties)
+    (springless, fine), order = how, np.argsort(duties)
     columns = [(float(duties[i]), tuple(sorted(branch.mean for branch in row[i]))) for i in order]
     known = [mean for _, means in columns for mean in means]
     reach = WIDE * (max(known) - min(known)) if known else 0.0
     found = columns[:1]
     for before, after in pairwise(columns):
         ends = [*before[1], *after[1]]
-        springless = machine.load.spring_stiffness == 0
         jumps = len(before[1]) > 1 or len(after[1]) > 1 or (springless and len(ends) > 1)
         if jumps and max(ends) - min(ends) > reach:
-            count = math.ceil((after[0] - before[0]) / FINE - 1e-9)
+            count = math.ceil((after[0] - before[0]) / fine - 1e-9)
             for duty in np.linspace(before[0], after[0], count + 1)[1:-1].tolist():
-                settled = attractors(machine.with_duty(duty), frequency, n_spread=n_spread)
-                found.append((duty, tuple(sorted(orbit.mean("position") for orbit in settled.orbits))))
+                found.append((duty, tuple(sorted(orbit.mean("position") for orbit in settled(duty).orbits))))
         found.append(after)
     return tuple(found)
 

@@ -1,0 +1,171 @@
+"""What `drive`, `simulate`, `new`, `machines` and `schema` do; loaded once the command line has been read."""
+
+import argparse
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ltvpneu.face.machine_text import bundled_machines, bundled_valves, machine_text, parsed
+from ltvpneu.face.tables import heading, table
+
+
+def drive(options: argparse.Namespace) -> int:
+    """Print what a drive does."""
+    # Lazy doors here and below: a list of machines needs none of this.
+    from tqdm import tqdm
+
+    from ltvpneu.face.drive import drive_text, write_drive
+    from ltvpneu.face.machine_file import load_machine
+    from ltvpneu.models.cycles.data_sheet import N_DUTIES, PRICE, data_sheet
+
+    machine = load_machine(options.machine)
+    price = PRICE if options.price is None else options.price
+    total = 0 if options.frequency is None else N_DUTIES
+    with tqdm(total=total, desc="duties", unit="duty", leave=False, disable=True if not total else None) as bar:
+        sheet = data_sheet(machine, options.frequency, price=price, life=options.life, progress=bar.update)
+    print(sheet.to_json() if options.json else drive_text(sheet), end="\n" if options.json else "")
+    if not options.json:
+        _make(options.out)
+        print("\nwritten:", *(f"  {path}" for path in write_drive(sheet, options.out)), sep="\n")
+    return 0
+
+
+def simulate(options: argparse.Namespace) -> int:
+    """Follow a drive over time."""
+    from ltvpneu.face.machine_file import load_machine
+    from ltvpneu.models.nonlinear.simulation import simulate as follow
+    from ltvpneu.models.nonlinear.stroke import start_of_stroke
+
+    machine = load_machine(options.machine)
+    if options.duty is not None:
+        machine = machine.with_duty(options.duty)
+    if not 0 < options.duration < float("inf"):
+        raise ValueError(f"--duration: found {options.duration:g} s, expected a finite number above zero")
+    frequency = 1 / options.duration if options.frequency is None else options.frequency
+    if not 0 < frequency < float("inf"):
+        raise ValueError(f"--frequency: found {frequency:g} Hz, expected a finite number above zero")
+    n_periods = max(1, int(np.ceil(options.duration * frequency - 1e-9)))
+    start = None
+    if options.start != "rest":
+        start = start_of_stroke(machine, "out" if options.start == "retracted" else "in")
+    response = follow(machine, frequency, n_periods, start, points_per_period=max(20, 2000 // n_periods))
+    times, states = np.asarray(response.time), np.asarray(response.states)
+    kept = times <= options.duration * (1 + 1e-12)
+    times, states = times[kept], states[:, kept]
+    if options.json:
+        found = {name: values.tolist() for name, values in zip(machine.states, states, strict=True)}
+        print(json.dumps({"machine": machine.name, "time": times.tolist(), **found}))
+        return 0
+    _make(options.out)
+    paths = _write_transient(machine.name, machine.states, times, states, options.out)
+    from ltvpneu.face.drive_pictures import draw_transient
+
+    paths.append(options.out / "simulate.png")
+    title = f"{machine.name}: duty {machine.duty:.3g} at {frequency:.4g} Hz, from {options.start}"
+    stops = machine.cylinder.lower_stop, machine.cylinder.upper_stop
+    draw_transient(title, machine.states, times, states, stops).savefig(paths[-1], dpi=150)
+    last = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, states[:, -1], strict=True))
+    print(f"{title}\nat {times[-1]:.6g} s, in SI units: {last}\n\nwritten:", *(f"  {path}" for path in paths), sep="\n")
+    return 0
+
+
+def _write_transient(
+    name: str, states: tuple[str, ...], times: np.ndarray, values: np.ndarray, folder: Path
+) -> list[Path]:
+    path = folder / "simulate.csv"
+    units = {"position": "m", "velocity": "m/s", "pressure": "Pa", "temperature": "K"}
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time [s]", *(f"{state} [{units[state.partition('_')[0]]}]" for state in states)])
+        writer.writerows(np.column_stack([times, values.T]).tolist())
+    return [path]
+
+
+def new(options: argparse.Namespace) -> int:
+    """Print a machine file."""
+    from ltvpneu.face.machine_file import parse_machine
+    from ltvpneu.face.new_file import new_file
+
+    text = new_file(_given(options))
+    # What is printed can be read: a wrong word is named now.
+    parse_machine(text, "new")
+    print(text, end="")
+    return 0
+
+
+def _given(options: argparse.Namespace) -> dict[str, dict[str, str]]:
+    """Return what the options say, as TOML, by table and key."""
+    found: dict[str, dict[str, str]] = {"": {}, "cylinder": {}, "load": {}, "valve": {}}
+
+    def put(table_name: str, key: str, value: object, form: str) -> None:
+        if value is not None:
+            found[table_name][key] = form.format(value)
+
+    put("", "name", options.name, '"{}"')
+    put("", "supply_pressure", options.supply, '"{}"')
+    for key in ("bore", "stroke"):
+        put("cylinder", key, getattr(options, key), '"{:g} mm"')
+    if options.rod == 0:
+        found["cylinder"]["rodless"] = "true"
+    else:
+        put("cylinder", "rod", options.rod, '"{:g} mm"')
+    put("cylinder", "clearance", options.clearance, '"{:g} %"')
+    put("cylinder", "mounting", options.mounting, '"{}"')
+    put("load", "mass", options.mass, '"{:g} kg"')
+    put("valve", "type", options.valve, '"{}"')
+    put("valve", "model", options.model, '"{}"')
+    put("valve", "sonic_conductance", options.C, '"{:g} dm^3/(s bar)"')
+    put("valve", "critical_pressure_ratio", options.b, "{:g}")
+    if options.delay is not None:
+        for key, value in zip(("opening_delay", "closing_delay"), options.delay, strict=True):
+            put("valve", key, value, '"{:g} ms"')
+    if options.friction is not None:
+        for key, value in zip(("dry_friction", "stiction"), options.friction, strict=True):
+            put("load", key, value, '"{:g} N"')
+    if options.model is not None and options.valve is None:
+        known = bundled_valves().get(options.model, {})
+        put("valve", "type", known.get("type"), '"{}"')
+    return found
+
+
+def machines(options: argparse.Namespace) -> int:
+    """List the bundled machines and valves."""
+    drives = {name: parsed(*machine_text(name)) for name in bundled_machines()}
+    valves = bundled_valves()
+    if options.json:
+        listed = {name: {"name": data["name"], "source": data.get("source", "")} for name, data in drives.items()}
+        print(json.dumps({"machines": listed, "valves": valves}, indent=2))
+        return 0
+    print(heading("Machines").lstrip("\n"))
+    print(table(["machine", "remark"], [[name, str(data["name"])] for name, data in drives.items()]))
+    print(heading("Valves: `model` of a file's valve, C in dm^3/(s bar)"))
+    rows = [
+        [
+            name,
+            str(valve["type"]),
+            str(valve["sonic_conductance"]).partition(" ")[0],
+            f"{valve['critical_pressure_ratio']:g}",
+            str(valve.get("exhaust", {}).get("sonic_conductance", "as C")).partition(" dm")[0],
+            str(valve["source"]),
+        ]
+        for name, valve in valves.items()
+    ]
+    print(table(["valve", "type", "C", "b", "C to exhaust", "remark"], rows))
+    return 0
+
+
+def schema(options: argparse.Namespace) -> int:
+    """Print the JSON Schema of machine files."""
+    from ltvpneu.face.schema import machine_schema
+
+    print(json.dumps(machine_schema(), indent=2))
+    return 0
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out: found {str(folder)!r}, expected a folder that can be made ({error})") from None
