@@ -70,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
         help="folder for pictures and JSON (default: study)",
     )
     study.add_argument("--points", type=int, default=40, help="frequencies of the amplitude response (default: 40)")
-    _add_design(study, "lti")
+    _add_design(study, "lti, the paper's; without a spring, fitted")
 
     stability = commands.add_parser(
         "stability",
@@ -196,15 +196,14 @@ def _add_design(parser: argparse.ArgumentParser, points: str | None) -> None:
     _add_model(parser, points)
 
 
-def _add_model(parser: argparse.ArgumentParser, default: str | None) -> None:
-    own = "those that see friction and stops: fitted, of liquids self-consistent"
-    standard = own if default is None else f"{default}, the paper's" if default == "lti" else default
+def _add_model(parser: argparse.ArgumentParser, standard: str | None) -> None:
+    words = "those that see friction and stops: fitted, of liquids self-consistent" if standard is None else standard
     parser.add_argument(
         "--n-steps", type=int, metavar="N", help="steps of the LTV model (default: 2, or one for each valve position)"
     )
     parser.add_argument(
         "--operating-points",
         choices=MODES,
-        default=default,
-        help=f"of the LTV model (default: {standard})",
+        default=standard if standard in MODES else None,
+        help=f"of the LTV model (default: {words})",
     )

@@ -68,6 +68,11 @@ def study(options: argparse.Namespace) -> int:
     from ltvpneu.face.study_design import design_text, n_design_parts, run_design
     from ltvpneu.face.warm import beside
 
+    springless = machine.load.spring_stiffness == 0
+    points = options.operating_points or ("fitted" if springless else "lti")
+    if springless:
+        print("The load has no spring, so no position is balanced by itself: there is no LTI model to compare, and the")
+        print(f"LTV model takes operating points {points!r}.\n")
     total = n_parts(machine, options.frequency, frequencies)
     switches = not isinstance(machine.valve, ProportionalValve)
     total += n_design_parts(options.frequency) if switches else 0
@@ -77,7 +82,7 @@ def study(options: argparse.Namespace) -> int:
             machine,
             options.frequency,
             n_steps=options.n_steps,
-            operating_points=options.operating_points,
+            operating_points=points,
             grid=frequencies,
             progress=bar.update,
         )
@@ -107,7 +112,7 @@ def write_study(study: Study, designed: "DesignStudy | None", folder: Path) -> l
 
     machine = study.machine
     models = [case.models["ltv"] for case in study.cases if "ltv" in case.models]
-    figures = {"valve_areas": pictures.draw(models[0] if models else machine)}
+    figures = {"valve_areas": pictures.draw(models[0] if models else machine.at(study.cases[0].frequency))}
     for case in study.cases:
         if case.orbits:
             label = f"{case.frequency:g}_Hz".replace(".", "p")

@@ -19,6 +19,8 @@ def draw_strokes(sheet: DataSheet) -> Figure:
     figure.subplots_adjust(left=0.08, right=0.98, bottom=0.08, top=0.9, hspace=0.1, wspace=0.08)
     for column, one in enumerate(sheet.strokes.values()):
         draw_stroke(one, list(axes[:, column]))
+        for ax in axes[:, column] if column else ():
+            ax.set_ylabel("")
         said = f"{1e3 * one.time:.1f} ms, {one.end_velocity:.3g} m/s at the stop" if one.arrives else "does not arrive"
         axes[0, column].set_title(f"stroke {one.direction}: {said}", fontsize=10)
     figure.suptitle(f"{sheet.machine.name}: strokes", fontsize=11)
@@ -74,17 +76,20 @@ def draw_switching(found: Switching) -> Figure:
     figure = Figure(figsize=(7, 5.6))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     figure.subplots_adjust(left=0.1, right=0.97, bottom=0.09, top=0.93, hspace=0.08)
+    low, high = orbits.machine.cylinder.lower_stop, orbits.machine.cylinder.upper_stop
     # Of a duty with several orbits each is a point; between duties that share one side a line is drawn.
     for duty, branches in zip(orbits.duties, orbits.branches[0], strict=True):
         for branch in branches:
+            # Half the span on either side of the mean, no further than the stops.
+            reach = [[min(branch.amplitude, branch.mean - low)], [min(branch.amplitude, high - branch.mean)]]
             above.errorbar(
-                duty, 1e3 * branch.mean, yerr=1e3 * branch.amplitude, fmt="o", markersize=5, capsize=3,
+                duty, 1e3 * branch.mean, yerr=1e3 * np.maximum(reach, 0.0), fmt="o", markersize=5, capsize=3,
                 color=PALETTE[0] if len(branches) == 1 else PALETTE[1],
             )  # fmt: skip
     gap = found.unheld
     if gap is not None:
         above.axhspan(1e3 * gap[0], 1e3 * gap[1], color="0.6", alpha=0.25, label="held by no duty")
-    for stop in (orbits.machine.cylinder.lower_stop, orbits.machine.cylinder.upper_stop):
+    for stop in (low, high):
         above.axhline(1e3 * stop, color="0.6", linewidth=0.8, linestyle=":")
     above.plot([], [], "o", color=PALETTE[0], label="mean and ripple, whatever the start")
     above.plot([], [], "o", color=PALETTE[1], label="depends on the start")

@@ -22,7 +22,7 @@ from ltvpneu.face.machine_keys import (
 from ltvpneu.face.machine_table import File, ambient_of, build, read_pair, read_table
 from ltvpneu.face.machine_text import machine_text, parsed
 from ltvpneu.face.units import Dimension
-from ltvpneu.face.valve_tables import energy_balances, read_more_valves, read_path, read_valve
+from ltvpneu.face.valve_tables import energy_balances, read_more_valves, read_path, read_rigid_volume, read_valve
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.physics.catalog import catalog_cylinder
 from ltvpneu.physics.cylinder import Cylinder
@@ -72,20 +72,34 @@ def parse_machine(text: str, name: str) -> Machine:
             f"{file}: schema: found {version}, expected {SCHEMA}; this file is for another version of ltvpneu"
         )
     medium = _medium(top, file)
-    fitted = _cylinder(top.pop("cylinder"), file)
-    load = _load(top.pop("load"), fitted, file)
-    found = read_valve(top.pop("valve"), fitted.cylinder, fitted.tubes, medium, file)
+    tanks = tuple(read_rigid_volume(entry, file, f"volumes[{i}]") for i, entry in enumerate(top.pop("volumes", [])))
+    if tanks and "cylinder" not in top and "load" not in top:
+        fitted, load = _Fitted(Cylinder.absent(), (None, None), {}), Load.absent()
+    else:
+        _expect_both(top, file)
+        fitted = _cylinder(top.pop("cylinder"), file)
+        load = _load(top.pop("load"), fitted, file)
+    places = (*fitted.cylinder.chambers, *(tank.name for tank in tanks))
+    found = read_valve(top.pop("valve"), places, fitted.tubes, medium, file)
     more = read_more_valves(top.pop("more_valves", []), file)
     paths = [read_path(entry, medium, file, f"flow_paths[{i}]") for i, entry in enumerate(top.pop("flow_paths", []))]
     parts = {
         "gas": medium,
         "cylinder": fitted.cylinder,
         "load": load,
+        "rigid_volumes": tanks,
         "valve": found.valve,
         "more_valves": (*found.more_valves, *more),
         "flow_paths": (*found.paths, *paths),
     }
     return build(Machine, {**top, **parts}, file, "")
+
+
+def _expect_both(top: dict[str, Any], file: File) -> None:
+    """Raise unless there are a cylinder and a load."""
+    for key in ("cylinder", "load"):
+        if key not in top:
+            raise MachineFileError(f"{file}: {key}: missing, expected a table")
 
 
 class _Fitted(NamedTuple):

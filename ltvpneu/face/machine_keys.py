@@ -39,10 +39,11 @@ MACHINE = {
     "collapse": Key(str, "of a rotary valve's inner volumes", example='"minimum"', choices=COLLAPSES),
     "gas": Key(dict, "the medium, where it is a gas", table="gas"),
     "liquid": Key(dict, "the medium, where it is a liquid", table="liquid"),
-    "cylinder": Key(dict, "by bore and stroke, or by areas and volumes", True, table="cylinder"),
-    "load": Key(dict, "what the piston moves", True, table="load"),
+    "cylinder": Key(dict, "by bore and stroke, or by areas and volumes", table="cylinder"),
+    "load": Key(dict, "what the piston moves", table="load"),
     "valve": Key(dict, "what switches", True, table="valve"),
     "flow_paths": Key(list, "restrictions beside the valve's own", table="flow_path"),
+    "volumes": Key(list, "rigid volumes: tanks, grippers; without a cylinder, all there is", table="rigid_volume"),
     "more_valves": Key(list, "further valves, for flow paths that name them by number", table="on_off"),
 }  # fmt: skip
 GAS = {
@@ -77,6 +78,12 @@ INNER_VOLUME = {
     "name": Key(str, "of the ports' volume that it is"),
     "volume": Key("volume", "its size", True),
     "polytropic_exponent": Key("number", "1 isothermal, 1.4 adiabatic"),
+    "energy_balance": Key(dict, "instead of an exponent", table="energy_balance"),
+}
+RIGID_VOLUME = {
+    "name": Key(str, "by which flow paths lead to it", True, '"tank"'),
+    "volume": Key("volume", "its size", True, '"0.5 l"'),
+    "polytropic_exponent": Key("number", "1 isothermal, 1.4 adiabatic", example="1.0"),
     "energy_balance": Key(dict, "instead of an exponent", table="energy_balance"),
 }
 TUBE = {
@@ -169,8 +176,8 @@ VALVE = {
                    example='{ sonic_conductance = "0.8 dm^3/(s bar)", critical_pressure_ratio = 0.25 }'),
     "silencer": Key(dict, "behind the exhaust ports", table="law",
                     example='{ sonic_conductance = "0.5 dm^3/(s bar)", critical_pressure_ratio = 0.3 }'),
-    "chamber": Key(str, "on which a valve with one outlet works", example='"chamber_1"',
-                   choices=("chamber_1", "chamber_2")),
+    "chamber": Key(str, "on which a valve with one outlet works: chamber_1, chamber_2 or a rigid volume",
+                   example='"chamber_1"'),
     "second": Key(dict, "of a valve of two coils: how the second is switched", table="coil",
                   example='{ duty = 0.5, start = "180 deg" }'),
     **SWITCHING,
@@ -218,11 +225,26 @@ FLOW_PATH = {
 }  # fmt: skip
 
 TABLES: dict[str, dict[str, Key]] = {
-    "machine": MACHINE, "gas": GAS, "real_gas": REAL_GAS, "liquid": LIQUID, "energy_balance": ENERGY_BALANCE,
-    "inner_volume": INNER_VOLUME, "tube": TUBE, "bore_cylinder": BORE_CYLINDER, "cylinder": CYLINDER, "load": LOAD,
-    "law": LAW, "valve": VALVE, "coil": COIL, "on_off": ON_OFF, "proportional": PROPORTIONAL, "rotary": ROTARY,
-    "port": PORT, "flow_path": FLOW_PATH,
-}  # fmt: skip
+    "machine": MACHINE,
+    "gas": GAS,
+    "real_gas": REAL_GAS,
+    "liquid": LIQUID,
+    "energy_balance": ENERGY_BALANCE,
+    "inner_volume": INNER_VOLUME,
+    "rigid_volume": RIGID_VOLUME,
+    "tube": TUBE,
+    "bore_cylinder": BORE_CYLINDER,
+    "cylinder": CYLINDER,
+    "load": LOAD,
+    "law": LAW,
+    "valve": VALVE,
+    "coil": COIL,
+    "on_off": ON_OFF,
+    "proportional": PROPORTIONAL,
+    "rotary": ROTARY,
+    "port": PORT,
+    "flow_path": FLOW_PATH,
+}
 """All of them by name. `cylinder` and `valve` have other keys by what they begin with: see `ALTERNATIVES`."""
 ALTERNATIVES = {
     "cylinder": ("bore_cylinder", "cylinder"),

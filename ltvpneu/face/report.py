@@ -72,7 +72,8 @@ def machine_table(machine: Machine) -> str:
         ["medium", medium_text(machine)],
         *([f"process in {name.replace('_', ' ')}", process_text(machine, k)] for k, name in enumerate(machine.volumes)),
     ]
-    for connection in machine.connections:
+    # Of a valve with delays they are open at other angles at each frequency, by as much.
+    for connection in machine.at(machine.switching_frequency or 1.0).connections:
         area = 1e6 * float(np.max([connection.first.starts.max(), connection.first.ends.max()]))
         rows.append(
             [

@@ -12,7 +12,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu._values import Value
 from ltvpneu.errors import LtvpneuError
-from ltvpneu.models.cycles.amplitude import MODELS, AmplitudeResponse, amplitude_response
+from ltvpneu.models.cycles.amplitude import MODELS, AmplitudeResponse, Model, amplitude_response
 from ltvpneu.models.cycles.floquet import cycle_floquet
 from ltvpneu.models.linear.error_estimate import ErrorEstimate
 from ltvpneu.models.linear.lti import lti_model
@@ -73,7 +73,7 @@ def run_study(
     progress: Callable[[int], object],
 ) -> Study:
     """Work a machine through; `progress` is called with 1 after each of `n_parts` parts."""
-    n_steps = default_steps(machine) if n_steps is None else n_steps
+    n_steps = default_steps(machine.at(frequencies[0])) if n_steps is None else n_steps
 
     def cases(present: Machine) -> tuple[Case, ...]:
         found: list[Case] = []
@@ -88,12 +88,22 @@ def run_study(
         cases=cases(machine),
         frictionless=cases(machine.without_dry_friction()) if machine.has_dry_friction else (),
         response=amplitude_response(
-            machine, grid, n_steps=n_steps, operating_points=operating_points, progress=progress
+            machine,
+            grid,
+            models=models_of(machine),
+            n_steps=n_steps,
+            operating_points=operating_points,
+            progress=progress,
         ),
         frictionless_amplitudes=amplitude_response(
             machine.without_dry_friction(), grid, models=["nonlinear"], progress=progress
         ).amplitude("nonlinear"),
     )
+
+
+def models_of(machine: Machine) -> tuple[Model, ...]:
+    """Return the models of a study: without a spring no position is balanced, about which an LTI model would be."""
+    return tuple(name for name in MODELS if name != "lti" or machine.load.spring_stiffness > 0)
 
 
 def n_parts(machine: Machine, frequencies: Sequence[float], grid: FloatArray) -> int:
@@ -114,7 +124,7 @@ def run_case(machine: Machine, frequency: float, n_steps: int | None, operating_
         attractors={},
         failures={},
     )
-    for name in MODELS:
+    for name in models_of(machine):
         try:
             if name == "nonlinear":
                 _add_nonlinear(case)

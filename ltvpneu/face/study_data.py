@@ -62,10 +62,10 @@ def machine_data(machine: Machine) -> dict[str, Any]:
                 "chamber": c.chamber,
                 "effective_area": float(max(c.first.starts.max(), c.first.ends.max())),
             }
-            for c in machine.connections
+            for c in machine.at(machine.switching_frequency or 1.0).connections
         ],
     }
-    if machine.load.spring_stiffness > 0:
+    if machine.load.spring_stiffness > 0 and not machine.has_switching_times:
         data["mean_quasi_static_state"] = quasi_static_turn(machine, None).mean
     return data
 

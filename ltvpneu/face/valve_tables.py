@@ -13,6 +13,7 @@ from ltvpneu.face.machine_keys import (
     ON_OFF,
     PORT,
     PROPORTIONAL,
+    RIGID_VOLUME,
     ROTARY,
     VALVE,
 )
@@ -21,7 +22,6 @@ from ltvpneu.face.machine_text import bundled_valves, nearest
 from ltvpneu.models.machine.connections import FlowPath
 from ltvpneu.models.machine.directional import DIRECTIONAL, Directional, directional_paths, has_both_outlets, n_coils
 from ltvpneu.models.machine.machine import Valve
-from ltvpneu.physics.cylinder import Cylinder
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.iso6358 import AREA_OF_KV, ISO6358, KV_OF_CV
 from ltvpneu.physics.liquid import Liquid
@@ -41,6 +41,13 @@ def energy_balances(found: dict[str, Any], keys: tuple[str, ...], file: File, wh
         if key in found:
             table = read_table(found[key], ENERGY_BALANCE, file, f"{where}.{key}")
             found[key] = build(EnergyBalance, table, file, f"{where}.{key}")
+
+
+def read_rigid_volume(data: object, file: File, where: str) -> InnerVolume:
+    """Return one of a file's `volumes`."""
+    found = read_table(data, RIGID_VOLUME, file, where)
+    energy_balances(found, ("energy_balance",), file, where)
+    return build(InnerVolume, found, file, where)
 
 
 def _inner_volume(data: object, file: File, where: str) -> InnerVolume:
@@ -71,9 +78,9 @@ class ReadValve(NamedTuple):
 
 
 def read_valve(
-    data: dict[str, Any], cylinder: Cylinder, tubes: tuple[Tube | None, Tube | None], medium: Medium, file: File
+    data: dict[str, Any], places: tuple[str, ...], tubes: tuple[Tube | None, Tube | None], medium: Medium, file: File
 ) -> ReadValve:
-    """Return what a file's `valve` table makes, for a cylinder with its tubes and a medium."""
+    """Return what a file's `valve` table makes, for volumes by name, tubes and a medium."""
     if "model" in data:
         data = _of_model(data, file)
     kind = data.get("type")
@@ -82,7 +89,7 @@ def read_valve(
     if kind == "rotary":
         return ReadValve(_rotary(data, file))
     if kind in DIRECTIONAL:
-        return _directional(data, cylinder, tubes, medium, file)
+        return _directional(data, places, tubes, medium, file)
     close = nearest(kind, DIRECTIONAL) if isinstance(kind, str) else ""
     words = ", ".join(f'"{word}"' for word in DIRECTIONAL)
     raise MachineFileError(
@@ -121,7 +128,7 @@ def _rotary(data: dict[str, Any], file: File) -> RotaryValve:
 
 
 def _directional(
-    data: dict[str, Any], cylinder: Cylinder, tubes: tuple[Tube | None, Tube | None], medium: Medium, file: File
+    data: dict[str, Any], places: tuple[str, ...], tubes: tuple[Tube | None, Tube | None], medium: Medium, file: File
 ) -> ReadValve:
     found = read_table(data, VALVE, file, "valve")
     kind: Directional = found.pop("type")
@@ -131,11 +138,10 @@ def _directional(
         for key in ("exhaust", "silencer")
         if key in found
     }
-    chambers = cylinder.chambers
-    chamber: str = found.pop("chamber", next(iter(chambers)))
-    if chamber not in chambers:
-        raise MachineFileError(f"{file}: valve.chamber: found {chamber!r}, expected one of {', '.join(chambers)}")
-    if has_both_outlets(kind) and len(chambers) < 2:
+    chamber: str = found.pop("chamber", next(iter(places)))
+    if chamber not in places:
+        raise MachineFileError(f"{file}: valve.chamber: found {chamber!r}, expected one of {', '.join(places)}")
+    if has_both_outlets(kind) and not {"chamber_1", "chamber_2"} <= set(places):
         raise MachineFileError(
             f'{file}: valve.type: found "{kind}", which feeds two chambers, on a cylinder with {chamber} alone; '
             'expected "3/2" or "2/2 nc"'

@@ -52,6 +52,8 @@ class Cylinder(Value):
         Cross-sections of the rods that leave through the ends of side 1 and side 2 [m^2]. None is what makes both sides
         of the piston as large with their rods: the difference of the piston areas, and the other rod's where that is
         given (to within a hundredth of it: data sheets round). Given both, they are taken as they are.
+    is_absent : bool
+        Of a machine of rigid volumes alone: see `Cylinder.absent`.
 
     Examples
     --------
@@ -74,6 +76,7 @@ class Cylinder(Value):
     upper_stop: float = math.inf
     rod_area_1: float | None = None
     rod_area_2: float | None = None
+    is_absent: bool = False
 
     def __post_init__(self) -> None:
         for side in (1, 2):
@@ -86,7 +89,7 @@ class Cylinder(Value):
             check_one_process(f"_{side}", exponent, balance)
         finite("seal_friction_area", self.seal_friction_area, "m^2")
         self._check_rods()
-        if self.dead_volume_1 is None and self.dead_volume_2 is None:
+        if self.dead_volume_1 is None and self.dead_volume_2 is None and not self.is_absent:
             raise ValueError("dead_volume_1, dead_volume_2: found neither, expected at least one chamber")
         if math.isnan(self.lower_stop) or math.isnan(self.upper_stop) or self.lower_stop >= self.upper_stop:
             raise ValueError(
@@ -94,6 +97,13 @@ class Cylinder(Value):
                 "below the upper"
             )
         self._check_stop_volumes()
+
+    @staticmethod
+    def absent() -> "Cylinder":
+        """Return what stands for the cylinder in a machine of rigid volumes alone: a piston that nothing moves."""
+        return Cylinder(
+            piston_area_1=1e-6, piston_area_2=1e-6, dead_volume_1=None, lower_stop=0.0, upper_stop=1e-9, is_absent=True
+        )
 
     def _check_rods(self) -> None:
         for side, given in ((1, self.rod_area_1), (2, self.rod_area_2)):

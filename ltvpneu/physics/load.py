@@ -64,6 +64,11 @@ class Load(Value):
                 stacklevel=4,
             )
 
+    @staticmethod
+    def absent() -> "Load":
+        """Return what stands for the load in a machine without a piston: it is pressed on the cylinder's lower stop."""
+        return Load(mass=1.0, spring_stiffness=1e4, viscous_damping=200.0, force=-1.0)
+
     @property
     def constant_force(self) -> float:
         """Force on the piston that depends on nothing, towards higher positions [N]: external, weight, preload."""

@@ -31,7 +31,7 @@ N_DUTIES = 9
 """Duties at which the orbits are looked at."""
 CLOSE_DUTY = 1e-7
 """Step at which the duty of balance is taken as found [-]."""
-MOST_PERIODS = 1000
+MOST_PERIODS = 4000
 """Periods that an orbit may take to settle; what creeps for longer is left to the maps."""
 COARSE = 0.02
 """Step of the duty with which a jump of the piston is looked at [-]; a map for its own sake looks closer."""

@@ -128,7 +128,7 @@ def warn_outside(model: LtvModel, mean_balance: float) -> LtvModel:
     """
     low, high = model.machine.cylinder.lower_stop, model.machine.cylinder.upper_stop
     reach = WELL_BEYOND * (high - low if np.isfinite(high - low) else float(model.machine.state_scales[0]))
-    if low <= mean_balance <= high:
+    if low <= mean_balance <= high or model.machine.cylinder.is_absent:
         return model
     if model.beyond_stops > reach and not low - reach <= model.orbit.mean(0) <= high + reach:
         warnings.warn(

@@ -33,9 +33,9 @@ class FlowPath(Value):
     Parameters
     ----------
     source : str
-        "supply" or "exhaust", or the other chamber: leakage past the piston, or a bypass.
+        "supply" or "exhaust", or another volume: the other chamber for leakage past the piston, a rigid volume.
     chamber : str
-        "chamber_1" or "chamber_2".
+        "chamber_1", "chamber_2" or a rigid volume.
     area : float or None
         Area when fully open [m^2], of a nozzle as in the paper or of a liquid's orifice; None where there is a law.
     discharge_coefficient : float
@@ -67,8 +67,9 @@ class FlowPath(Value):
     def __post_init__(self) -> None:
         if isinstance(self.valve, bool) or not isinstance(self.valve, int) or self.valve < 0:  # pyright: ignore[reportUnnecessaryIsInstance]
             raise ValueError(f"valve: found {self.valve!r}, expected the number of a valve, from 0")
-        if self.source not in (*SOURCES, *CHAMBERS):
-            raise ValueError(f'source: found {self.source!r}, expected "supply", "exhaust" or the other chamber')
+        for name, end in (("source", self.source), ("chamber", self.chamber)):
+            if not isinstance(end, str) or not end:  # pyright: ignore[reportUnnecessaryIsInstance]
+                raise ValueError(f"{name}: found {end!r}, expected the name of a volume")
         if self.source == self.chamber:
             raise ValueError(f"source: found {self.source!r}, which is the path's own chamber; expected another volume")
         self._check_law()

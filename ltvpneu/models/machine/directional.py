@@ -2,7 +2,7 @@
 
 from typing import Literal, NamedTuple, get_args
 
-from ltvpneu.models.machine.connections import FlowPath
+from ltvpneu.models.machine.connections import CHAMBERS, FlowPath
 from ltvpneu.physics.iso6358 import ISO6358
 from ltvpneu.physics.tube import Tube
 from ltvpneu.physics.valve import Phase
@@ -99,7 +99,7 @@ def directional_paths(
     found: list[FlowPath] = []
     for way in _WAYS[kind]:
         place = chamber if way.chamber == "a" else f"chamber_{way.chamber}"
-        tube = tubes[int(place[-1]) - 1]
+        tube = tubes[int(place[-1]) - 1] if place in CHAMBERS else None
         fixed = [] if tube is None else [tube.law]
         if way.source == "exhaust" and silencer is not None:
             fixed.append(silencer)

@@ -15,6 +15,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, not_negative, positive, read_only
 from ltvpneu._values import Value
 from ltvpneu.models.machine.connections import (
+    CHAMBERS,
     COLLAPSES,
     SOURCES,
     Collapse,
@@ -54,6 +55,8 @@ from ltvpneu.physics.thermal import EnergyBalance
 from ltvpneu.physics.valve import RotaryValve
 from ltvpneu.physics.window import Pulses, Window
 
+NO_PISTON_LENGTH = 0.01
+"""Scale of the position where there is no piston, which then stays at zero [m]."""
 Valve = RotaryValve | OnOffValve | ProportionalValve
 
 
@@ -83,6 +86,8 @@ class Machine(Value):
         How the inner volume of a rotary valve is collapsed to a point: by the smaller effective area (2), or by solving
         for the pressure between two restrictions that pass the same flow. "dynamic" keeps it as a volume of its own,
         with a pressure of its own, of the size that the valve's `inner_volumes` give.
+    rigid_volumes : tuple of InnerVolume
+        Tanks, grippers, tubes: volumes of a fixed size, by names that flow paths lead to.
     switching_frequency : float or None
         At which its valves switch [Hz]: it turns delays in seconds into angles. Functions that take a frequency set it.
 
@@ -105,6 +110,7 @@ class Machine(Value):
     more_valves: tuple[OnOffValve | ProportionalValve, ...] = ()
     collapse: Collapse = "minimum"
     ambient_pressure: float = ATMOSPHERE
+    rigid_volumes: tuple[InnerVolume, ...] = ()
     switching_frequency: float | None = None
 
     def __post_init__(self) -> None:
@@ -126,6 +132,7 @@ class Machine(Value):
             raise ValueError(f'collapse: found {self.collapse!r}, expected "minimum", "in_series" or "dynamic"')
         if self.switching_frequency is not None:
             positive("switching_frequency", self.switching_frequency, "Hz")
+        self._check_names()
         self._check_connections()
         self._check_medium()
         self._check_room()
@@ -148,10 +155,10 @@ class Machine(Value):
                     f"are {len(self.more_valves)} more_valves"
                 )
             for end in (path.chamber, path.source):
-                if end not in (*self.cylinder.chambers, *(SOURCES if end is path.source else ())):
+                if end not in (*self._places, *(SOURCES if end is path.source else ())):
                     raise ValueError(
                         f"flow_paths: found a path to {end!r}, expected one of the cylinder's chambers: "
-                        f"{', '.join(self.cylinder.chambers)}"
+                        f"{', '.join(self.cylinder.chambers)}{self._tanks}"
                     )
         if self.collapse != "minimum" and not isinstance(self.valve, RotaryValve):
             raise ValueError(
@@ -164,6 +171,9 @@ class Machine(Value):
         for number in {path.valve for path in self.flow_paths}:
             (self.valve, *self.more_valves)[number].on_window()
         fed = {name for ends in self.ends for name in ends}
+        for tank in self.rigid_volumes:
+            if tank.name not in fed:
+                raise ValueError(f"flow_paths: no path leads to the rigid volume {tank.name!r}, expected at least one")
         for chamber in self.cylinder.chambers:
             if chamber not in fed:
                 raise ValueError(
@@ -171,12 +181,35 @@ class Machine(Value):
                     f"dead_volume_{chamber[-1]} where that side is open to the ambient"
                 )
 
+    @property
+    def _places(self) -> tuple[str, ...]:
+        """Names of the volumes that flow paths may lead to."""
+        return (*self.cylinder.chambers, *(tank.name for tank in self.rigid_volumes))
+
+    @property
+    def _tanks(self) -> str:
+        names = ", ".join(tank.name for tank in self.rigid_volumes)
+        return f", or of the rigid volumes: {names}" if names else ""
+
+    def _check_names(self) -> None:
+        """Raise unless the rigid volumes have names of their own, which become those of their pressures."""
+        taken = [*SOURCES, *CHAMBERS, "1", "2", "valve", *(inner.name for inner in self.inner_volumes)]
+        for number, tank in enumerate(self.rigid_volumes):
+            if tank.name in taken or not tank.name.isidentifier():
+                raise ValueError(
+                    f"rigid_volumes[{number}]: found the name {tank.name!r}, expected a word of its own, such as 'tank'"
+                )
+            taken.append(tank.name)
+        if self.cylinder.is_absent and not self.rigid_volumes:
+            raise ValueError("rigid_volumes: found none in a machine without a cylinder, expected at least one")
+
     def _check_medium(self) -> None:
         gas, cylinder = self.gas, self.cylinder
         warn_if_cold("gas.temperature", gas.temperature)
         processes = [
             *((f"cylinder.polytropic_exponent_{name[-1]}", *cylinder.process(name)) for name in cylinder.chambers),
             *((f"valve.inner_volumes: {v.name}", v.polytropic_exponent, v.energy_balance) for v in self.inner_volumes),
+            *((f"rigid_volumes: {v.name}", v.polytropic_exponent, v.energy_balance) for v in self.rigid_volumes),
         ]
         for name, exponent, balance in processes:
             check_process(name, exponent, balance, gas)
@@ -292,7 +325,10 @@ class Machine(Value):
                 "EnergyBalance"
             )
         exponent, balance = (1.0, process) if isinstance(process, EnergyBalance) else (float(process), None)
-        machine = replace(self, cylinder=self.cylinder.with_process(exponent, balance))
+        tanks = tuple(
+            replace(tank, polytropic_exponent=exponent, energy_balance=balance) for tank in self.rigid_volumes
+        )
+        machine = replace(self, cylinder=self.cylinder.with_process(exponent, balance), rigid_volumes=tanks)
         if not isinstance(self.valve, RotaryValve):
             return machine
         inner = tuple(
@@ -337,8 +373,12 @@ class Machine(Value):
 
     @cached_property
     def volumes(self) -> tuple[str, ...]:
-        """Names of all volumes with a pressure of their own: the cylinder's chambers, then those inside the valve."""
-        return (*self.cylinder.chambers, *(inner.name for inner in self.inner_volumes))
+        """Names of all volumes with a pressure of their own: the cylinder's chambers, the valve's, rigid ones."""
+        return (*self.cylinder.chambers, *(fixed.name for fixed in self._fixed_volumes))
+
+    @property
+    def _fixed_volumes(self) -> tuple[InnerVolume, ...]:
+        return (*self.inner_volumes, *self.rigid_volumes)
 
     @cached_property
     def states(self) -> tuple[str, ...]:
@@ -349,6 +389,7 @@ class Machine(Value):
         """
         inner = [volume.name for volume in self.inner_volumes]
         labels = [name[-1] for name in self.cylinder.chambers] + (["valve"] if len(inner) == 1 else inner)
+        labels += [tank.name for tank in self.rigid_volumes]
         pressures = [f"pressure_{label}" for label in labels]
         temperatures = [
             f"temperature_{label}" for label, balance in zip(labels, self._balances, strict=True) if balance is not None
@@ -365,7 +406,7 @@ class Machine(Value):
         cylinder = self.cylinder
         return (
             *(cylinder.process(name)[1] for name in cylinder.chambers),
-            *(inner.energy_balance for inner in self.inner_volumes),
+            *(fixed.energy_balance for fixed in self._fixed_volumes),
         )
 
     @property
@@ -429,7 +470,7 @@ class Machine(Value):
             "chamber_2": (c.dead_volume_2 or 0.0, -c.piston_area_2, c.polytropic_exponent_2, c.push_area_2),
         }
         each = [rows[name] for name in c.chambers]
-        each += [(inner.volume, 0.0, inner.polytropic_exponent, 0.0) for inner in self.inner_volumes]
+        each += [(fixed.volume, 0.0, fixed.polytropic_exponent, 0.0) for fixed in self._fixed_volumes]
         place, found = 2 + len(each), list[VolumeFields]()
         for row, balance in zip(each, self._balances, strict=True):
             if balance is None:
@@ -516,7 +557,7 @@ class Machine(Value):
         """
         chambers = self.volume_fields[: len(self.cylinder.chambers)]
         volume, slope = np.array([chamber.size for chamber in chambers]), np.array([c.slope for c in chambers])
-        length = float(np.max(np.abs(volume / slope)))
+        length = float(np.max(np.abs(volume / slope))) if chambers else NO_PISTON_LENGTH
         modulus = self.exhaust_pressure
         if isinstance(self.gas, Liquid):
             modulus = self.gas.effective_bulk_modulus(self.supply_pressure)

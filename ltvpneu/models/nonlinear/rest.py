@@ -36,7 +36,7 @@ def rests_in_a_band(machine: Machine, states: FloatArray, modes: IntArray) -> bo
 
 def what_holds(machine: Machine, states: FloatArray, modes: IntArray) -> str:
     """Return what holds a piston that rests throughout, for readers; nothing of one that moves."""
-    if not (modes == STUCK).all():
+    if not (modes == STUCK).all() or machine.cylinder.is_absent:
         return ""
     if rests_in_a_band(machine, states, modes):
         return BY_STICTION

@@ -134,6 +134,8 @@ def stroke(machine: Machine, direction: Direction = "out") -> Stroke:
     if direction not in ("out", "in"):
         raise ValueError(f'direction: found {direction!r}, expected "out" or "in"')
     low, high = machine.cylinder.lower_stop, machine.cylinder.upper_stop
+    if machine.cylinder.is_absent:
+        raise ValueError("machine: found one without a cylinder, expected one with a piston; use lp.simulate")
     if math.isinf(low) or math.isinf(high):
         raise ValueError(
             "machine: found a cylinder without both end stops, expected cylinder.lower_stop and cylinder.upper_stop, "
