@@ -64,7 +64,8 @@ def simulate(options: argparse.Namespace) -> int:
 
     paths.append(options.out / "simulate.png")
     title = f"{machine.name}: duty {machine.duty:.3g} at {frequency:.4g} Hz, from {options.start}"
-    stops = machine.cylinder.lower_stop, machine.cylinder.upper_stop
+    cylinder = machine.cylinder
+    stops = None if cylinder.is_absent else (cylinder.lower_stop, cylinder.upper_stop)
     draw_transient(title, machine.states, times, states, stops).savefig(paths[-1], dpi=150)
     last = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, states[:, -1], strict=True))
     print(f"{title}\nat {times[-1]:.6g} s, in SI units: {last}\n\nwritten:", *(f"  {path}" for path in paths), sep="\n")

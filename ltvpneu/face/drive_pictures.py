@@ -108,16 +108,17 @@ def draw_switching(found: Switching) -> Figure:
 
 
 def draw_transient(
-    title: str, states: tuple[str, ...], times: FloatArray, values: FloatArray, stops: tuple[float, float]
+    title: str, states: tuple[str, ...], times: FloatArray, values: FloatArray, stops: tuple[float, float] | None
 ) -> Figure:
-    """All states of a transient over time; `values` (n_states, n_times)."""
+    """All states of a transient over time; `values` (n_states, n_times); `stops` None where there is no piston."""
     times = 1e3 * times
-    groups = {"position": ["position"], "velocity": ["velocity"]}
+    # Without a cylinder there is nothing to see of its piston.
+    groups = {"position": ["position"], "velocity": ["velocity"]} if stops is not None else {}
     groups["pressure"] = [name for name in states if name.startswith("pressure")]
     if warm := [name for name in states if name.startswith("temperature")]:
         groups["temperature"] = warm
     figure = Figure(figsize=(8, 1.2 + 1.9 * len(groups)), layout="constrained")
-    axes = figure.subplots(len(groups), 1, sharex=True)
+    axes = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
     for ax, (what, names) in zip(axes, groups.items(), strict=True):
         unit = unit_of(what)
         for k, name in enumerate(names):
@@ -127,7 +128,7 @@ def draw_transient(
         ax.grid(alpha=0.3)
         if len(names) > 1:
             ax.legend(fontsize=8)
-    for stop in stops:
+    for stop in stops or ():
         if np.isfinite(stop):
             axes[0].axhline(1e3 * stop, color="0.6", linewidth=0.8, linestyle=":")
     axes[-1].set_xlabel("time [ms]")

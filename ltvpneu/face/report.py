@@ -308,7 +308,7 @@ def remarks(orbit: Orbit, machine: Machine, band: StictionBand | None = None) ->
     tolerance = 1e-9 + 1e-6 * (high - low)
     if low < lower - tolerance or high > upper + tolerance:
         found.append("passes the end stops")
-    elif not orbit.rest and (low <= lower + tolerance or high >= upper - tolerance):
+    elif not orbit.rest and not machine.cylinder.is_absent and (low <= lower + tolerance or high >= upper - tolerance):
         found.append("rests on an end stop for a while")
     lowest = machine.gas.vapor_pressure if isinstance(machine.gas, Liquid) else 0.0
     for name in machine.states[2 : 2 + machine.n_volumes]:

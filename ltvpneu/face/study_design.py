@@ -14,6 +14,7 @@ from ltvpneu.face.report import grouped_failures
 from ltvpneu.face.study_data import failure_data, plain
 from ltvpneu.face.tables import heading, table
 from ltvpneu.models.cycles.orbit_map import DEPENDS
+from ltvpneu.models.linear.modes import OperatingPoints
 from ltvpneu.models.machine.machine import Machine
 
 DUTIES = np.linspace(0.05, 0.95, 19)
@@ -58,7 +59,9 @@ def run_design(machine: Machine, frequencies: Sequence[float], progress: Callabl
     """Work the design part through; `progress` is called with 1 after each of `n_design_parts` parts."""
     duties = duty_map(machine, DUTIES, frequencies, progress=progress)
     span = np.linspace(min(frequencies), 2 * max(frequencies), N_FREQUENCIES)
-    stability = stability_map(machine, MAP_DUTIES, span, progress=progress)
+    # Without a spring no position is balanced, about which the paper's points would be.
+    points: OperatingPoints = "lti" if machine.load.spring_stiffness > 0 else "fitted"
+    stability = stability_map(machine, MAP_DUTIES, span, operating_points=points, progress=progress)
     example, optimum, failure = None, None, ""
     try:
         example = example_of(duties, max(frequencies))
