@@ -3,7 +3,6 @@
 from itertools import pairwise
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -17,12 +16,12 @@ from ltvpneu.design.feedback import ClosedLoop
 from ltvpneu.design.pattern.pattern import PatternSolution
 from ltvpneu.design.stability_map import StabilityMap
 from ltvpneu.design.switching.duty_solution import DutySolution
+from ltvpneu.face.shown import PALETTE
 from ltvpneu.models.cycles.orbit_map import OrbitMap
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.steady import steady_state
 
-PALETTE = mpl.color_sequences["petroff10"]
 MARKERS = "osD^vP*X"
 MOST_NAMED = 3
 """Settings that a title names at most."""

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu.face.pictures import PALETTE, unit_of
+from ltvpneu.face.shown import PALETTE, unit_of
 from ltvpneu.models.cycles.data_sheet import DataSheet, Switching
 from ltvpneu.models.nonlinear.stroke import Stroke
 from ltvpneu.physics.iso6358 import ANR_DENSITY
@@ -24,6 +24,16 @@ def draw_strokes(sheet: DataSheet) -> Figure:
         said = f"{1e3 * one.time:.1f} ms, {one.end_velocity:.3g} m/s at the stop" if one.arrives else "does not arrive"
         axes[0, column].set_title(f"stroke {one.direction}: {said}", fontsize=10)
     figure.suptitle(f"{sheet.machine.name}: strokes", fontsize=11)
+    return figure
+
+
+def draw_one_stroke(one: Stroke) -> Figure:
+    """Position, velocity and pressures of a stroke over time from the valve's switching."""
+    figure = Figure(figsize=(7, 6.5))
+    axes = figure.subplots(3, 1, sharex=True)
+    figure.subplots_adjust(left=0.1, right=0.97, bottom=0.08, top=0.93, hspace=0.1)
+    draw_stroke(one, list(axes))
+    figure.suptitle(f"{one.machine.name}: stroke {one.direction}", fontsize=11)
     return figure
 
 

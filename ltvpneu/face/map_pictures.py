@@ -2,17 +2,16 @@
 
 from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from ltvpneu.face.shown import PALETTE
 from ltvpneu.models.cycles.orbit_map import KINDS, SAID, OrbitMap
 from ltvpneu.models.cycles.validity_map import ValidityMap
 
-PALETTE = mpl.color_sequences["petroff10"]
 GROUND = "0.85"
 LEVELS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """Relative errors at which the shades change [-]."""

@@ -1,9 +1,8 @@
 """Pictures of results. Engineering units live here and in the machine files: mm, bar, Hz, ms."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
-import matplotlib as mpl
 import matplotlib.ticker
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,8 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu.face.drive_pictures import draw_one_stroke, draw_strokes, draw_switching
 from ltvpneu.face.map_pictures import draw_orbit_map, draw_validity_map
+from ltvpneu.face.shown import PALETTE, unit_of
 from ltvpneu.models.cycles.amplitude import AmplitudeResponse
+from ltvpneu.models.cycles.data_sheet import DataSheet, Switching
 from ltvpneu.models.cycles.orbit_map import OrbitMap
 from ltvpneu.models.cycles.sensitivity import ParameterSensitivity
 from ltvpneu.models.cycles.validity_map import ValidityMap
@@ -21,34 +23,11 @@ from ltvpneu.models.linear.staircase import Staircase, staircase
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import step_means
 from ltvpneu.models.nonlinear.attractors import Attractors, describe
+from ltvpneu.models.nonlinear.stroke import Stroke
 from ltvpneu.periodic.floquet import Floquet, floquet
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.system import PeriodicSystem
 
-
-class Unit(NamedTuple):
-    """How a signal is shown."""
-
-    factor: float
-    symbol: str
-
-
-def unit_of(signal: str) -> Unit:
-    """Return the factor from SI and the unit in which a signal is shown."""
-    if signal == "position":
-        return Unit(1e3, "mm")
-    if signal == "velocity":
-        return Unit(1.0, "m/s")
-    if signal.startswith("pressure"):
-        return Unit(1e-5, "bar")
-    if signal.startswith("temperature"):
-        return Unit(1.0, "K")
-    return Unit(1.0, "")
-
-
-# Told apart by the colour-blind too. Colours are given outright: "C0" would be looked up in the user's style when
-# drawn.
-PALETTE = mpl.color_sequences["petroff10"]
 # The line styles tell the models apart without colour.
 STYLES: dict[str, dict[str, Any]] = {
     "nonlinear": {"color": "0.15", "linestyle": "-", "linewidth": 1.8},
@@ -76,6 +55,12 @@ def draw(result: object) -> Figure:
         return draw_amplitudes(result)
     if isinstance(result, ParameterSensitivity):
         return draw_sensitivity(result)
+    if isinstance(result, DataSheet):
+        return draw_strokes(result)
+    if isinstance(result, Stroke):
+        return draw_one_stroke(result)
+    if isinstance(result, Switching):
+        return draw_switching(result)
     if isinstance(result, OrbitMap):
         return draw_orbit_map(result)
     if isinstance(result, ValidityMap):
@@ -109,7 +94,8 @@ def _draw_by_itself(result: object) -> Figure:
     if not type(result).__module__.startswith("control") or method is None:
         raise TypeError(
             f"plot: found {type(result).__name__}, expected a Machine, LtvModel, PeriodicSystem, Floquet, "
-            "Orbit, Attractors, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, DutyMap, ClosedLoop, "
+            "Orbit, Attractors, DataSheet, Stroke, ParameterSensitivity, AmplitudeResponse, OrbitMap, ValidityMap, "
+            "DutyMap, ClosedLoop, "
             "a dict of Orbit or of Floquet, or a response of python-control"
         )
     import matplotlib.pyplot as plt
