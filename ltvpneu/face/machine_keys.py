@@ -141,8 +141,10 @@ LOAD = {
     "viscous_damping": Key("damping", "of seals and guides", example='"40 N s/m"'),
     "dry_friction": Key("force", "in motion", example='"20 N"'),
     "stiction": Key("force", "that holds a piston at rest, not below dry friction", example='"35 N"'),
+    "friction_area_1": Key("area", "growth of both with the pressure in chamber 1", example='"9 mm^2"'),
+    "friction_area_2": Key("area", "growth of both with the pressure in chamber 2", example='"9 mm^2"'),
     "force": Key("force", "towards higher positions, beside the weight", example='"0 N"'),
-}
+}  # fmt: skip
 LAW = {
     "sonic_conductance": Key("sonic conductance", "C of ISO 6358"),
     "critical_pressure_ratio": Key("number", "b of ISO 6358", example="0.3"),

@@ -32,6 +32,10 @@ class Load(Value):
     mounting : float
         Angle of the way to higher positions above the horizontal [rad]: the weight of the mass acts along it, pi / 2
         where the piston goes up. The paper's rig lies flat.
+    friction_area_1, friction_area_2 : float
+        a_1, a_2 [m^2]: dry friction and stiction grow with the pressures that press the seals on, F_d + a_1 (p_1 - p_a)
+        + a_2 (p_2 - p_a), p_a being the ambient pressure. Measured on seals of 25 mm: 0.5 to 1.6 N a bar, which is 5 to
+        16 mm^2.
     spring_preload : float
         Force of the spring at position zero, towards lower positions [N]; negative where it pushes the other way.
     """
@@ -44,6 +48,8 @@ class Load(Value):
     force: float = 0.0
     mounting: float = 0.0
     spring_preload: float = 0.0
+    friction_area_1: float = 0.0
+    friction_area_2: float = 0.0
 
     def __post_init__(self) -> None:
         positive("mass", self.mass, "kg")
@@ -53,6 +59,8 @@ class Load(Value):
         not_negative("stiction", self.stiction, "N")
         finite("force", self.force, "N")
         finite("spring_preload", self.spring_preload, "N")
+        not_negative("friction_area_1", self.friction_area_1, "m^2")
+        not_negative("friction_area_2", self.friction_area_2, "m^2")
         if abs(finite("mounting", self.mounting, "rad")) > math.pi:
             raise ValueError(
                 f"mounting: found {self.mounting:g} rad, expected -pi to pi (90 degrees is {math.pi / 2:.4g} rad)"

@@ -114,6 +114,12 @@ class Twin:
         rod_1, rod_2 = rods(c)
         return push + (rod_1 - rod_2) * m.ambient_pressure - m.load.spring_stiffness * z[0] + m.load.force
 
+    def seals(self, z: np.ndarray) -> float:
+        """Friction that the pressures add by pressing the seals on."""
+        m = self.machine
+        areas = {"chamber_1": m.load.friction_area_1, "chamber_2": m.load.friction_area_2}
+        return sum(areas[name] * (z[2 + k] - m.ambient_pressure) for k, name in enumerate(m.cylinder.chambers))
+
     def rate(self, t: float, z: np.ndarray, period: float, mode: int) -> np.ndarray:
         m, c = self.machine, self.machine.cylinder
         angle = 2 * math.pi * t / period
@@ -121,7 +127,9 @@ class Twin:
         out = np.zeros(z.size)
         out[0] = v
         if mode != STUCK:
-            out[1] = (self.force(z) - m.load.viscous_damping * v - m.load.dry_friction * mode) / m.load.mass
+            out[1] = (
+                self.force(z) - m.load.viscous_damping * v - (m.load.dry_friction + self.seals(z)) * mode
+            ) / m.load.mass
         for k, name in enumerate(c.chambers):
             sign = 1 if name == "chamber_1" else -1
             area = sign * getattr(c, f"piston_area_{name[-1]}")
@@ -138,7 +146,7 @@ class Twin:
         if z[1] != 0:
             return int(np.sign(z[1]))
         load, c = self.machine.load, self.machine.cylinder
-        hold = max(load.dry_friction, load.stiction)
+        hold = max(load.dry_friction, load.stiction) + self.seals(z)
         force = self.force(z)
         if z[0] >= c.upper_stop and force >= -hold:
             return STUCK
@@ -175,12 +183,12 @@ class Twin:
             return 1.0 if _t < t + 1e-12 * T else mode * y[1]
 
         def breaks(_t, y):
-            f = self.force(y)
-            up = math.inf if y[0] >= c.upper_stop else hold
-            down = math.inf if y[0] <= c.lower_stop else hold
+            f, held = self.force(y), hold + self.seals(y)
+            up = math.inf if y[0] >= c.upper_stop else held
+            down = math.inf if y[0] <= c.lower_stop else held
             return min(up - f, f + down)
 
-        events = [breaks] if mode == STUCK else ([reversal] if hold > 0 else [])
+        events = [breaks] if mode == STUCK else ([reversal] if hold + load.friction_area_1 > 0 else [])
         if mode != STUCK and math.isfinite(c.upper_stop):
             events.append(lambda _t, y: c.upper_stop - y[0] if _t > t + 1e-12 * T else 1.0)
         if mode != STUCK and math.isfinite(c.lower_stop):

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import by_field, compiled
 from ltvpneu.models.machine.dynamics import STUCK, state_rate
 from ltvpneu.models.machine.quasi_static import nearest_source
-from ltvpneu.models.machine.records import N_INPUTS, MachineRecord, is_liquid
+from ltvpneu.models.machine.records import AMBIENT, N_INPUTS, GeneralRecord, MachineRecord, is_liquid
 from ltvpneu.models.machine.tangent import state_tangent
 
 DECAY_AT_REST = 40.0
@@ -65,6 +65,8 @@ def tangent_at(
     inside = state_rate(state, areas, mode, machine, found.rate)
     if inside:
         state_tangent(state, areas, machine, True, A, found.B)
+        if mode != STUCK:
+            _add_seals(mode, machine, found)
         for k in range(2, n):
             held[k] = 0.0
         # A liquid's flow is laminar where pressures meet, and its slope finite.
@@ -85,6 +87,21 @@ def tangent_at(
             for k in range(2, n):
                 A[k, 1] = 0.0
     return inside
+
+
+def _pressed_seals(mode: int, machine: GeneralRecord, found: Tangent) -> None:
+    for k in range(machine.n_volumes):
+        slope = mode * machine.volumes[k].friction_area / machine.load.mass
+        found.A[1, 2 + k] -= slope
+        found.B[1, AMBIENT] += slope
+
+
+def _constant_seals(mode: int, machine: MachineRecord, found: Tangent) -> None:
+    pass
+
+
+_add_seals = by_field("medium", "machine", _pressed_seals, _constant_seals)
+"""Add the slopes of the friction that grows with the pressures, in motion."""
 
 
 @compiled

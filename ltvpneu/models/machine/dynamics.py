@@ -118,6 +118,21 @@ def external_force(state: FloatArray, machine: MachineRecord) -> float:
     return force
 
 
+def _pressed_seals(state: FloatArray, machine: GeneralRecord) -> float:
+    total = 0.0
+    for k in range(machine.n_volumes):
+        total += machine.volumes[k].friction_area * (state[2 + k] - machine.load.ambient_pressure)
+    return total
+
+
+def _constant_seals(state: FloatArray, machine: MachineRecord) -> float:
+    return 0.0
+
+
+seal_friction = by_field("medium", "machine", _pressed_seals, _constant_seals)
+"""What the pressures add to dry friction and to stiction, by pressing the seals on [N]."""
+
+
 @compiled
 def state_rate(state: FloatArray, areas: FloatArray, mode: int, machine: MachineRecord, rate: FloatArray) -> bool:
     """Write the time derivative of the state into `rate`; False outside the equations' domain.
@@ -139,7 +154,7 @@ def state_rate(state: FloatArray, areas: FloatArray, mode: int, machine: Machine
     rate[0] = velocity
     rate[1] = 0.0
     if mode != STUCK:
-        friction = load.viscous_damping * velocity + load.dry_friction * mode
+        friction = load.viscous_damping * velocity + (load.dry_friction + seal_friction(state, machine)) * mode
         rate[1] = (external_force(state, machine) - friction) / load.mass
     return _volume_rates(state, areas, velocity, machine, rate)
 

@@ -135,7 +135,19 @@ class Machine(Value):
         self._check_names()
         self._check_connections()
         self._check_medium()
+        self._check_seals()
         self._check_room()
+
+    def _check_seals(self) -> None:
+        """Raise where dry friction would fall below zero at the exhaust pressure."""
+        below = self.ambient_pressure - self.exhaust_pressure
+        eased = below * (self.load.friction_area_1 + self.load.friction_area_2)
+        if eased > self.load.dry_friction:
+            raise ValueError(
+                f"load.friction_area_1, friction_area_2: found {eased:g} N less friction at the exhaust pressure "
+                f"than at the ambient one, more than the dry friction of {self.load.dry_friction:g} N; expected "
+                "smaller areas"
+            )
 
     def _check_room(self) -> None:
         """Raise unless the machine has room in its record."""
@@ -338,7 +350,8 @@ class Machine(Value):
 
     def without_dry_friction(self) -> "Machine":
         """Return the machine with neither dry friction nor stiction; viscous damping stays."""
-        return replace(self, load=replace(self.load, dry_friction=0.0, stiction=0.0))
+        free = replace(self.load, dry_friction=0.0, stiction=0.0, friction_area_1=0.0, friction_area_2=0.0)
+        return replace(self, load=free)
 
     # What the models read
     # ----------------------------------------------------------------------------------------------
@@ -356,7 +369,8 @@ class Machine(Value):
     @property
     def has_dry_friction(self) -> bool:
         """Whether the piston can stick."""
-        return self.load.dry_friction > 0 or self.load.stiction > 0
+        load = self.load
+        return max(load.dry_friction, load.stiction, load.friction_area_1, load.friction_area_2) > 0
 
     @property
     def has_stops(self) -> bool:
@@ -469,15 +483,17 @@ class Machine(Value):
             "chamber_1": (c.dead_volume_1 or 0.0, c.piston_area_1, c.polytropic_exponent_1, c.push_area_1),
             "chamber_2": (c.dead_volume_2 or 0.0, -c.piston_area_2, c.polytropic_exponent_2, c.push_area_2),
         }
+        seals = [getattr(self.load, f"friction_area_{name[-1]}") for name in c.chambers]
         each = [rows[name] for name in c.chambers]
         each += [(fixed.volume, 0.0, fixed.polytropic_exponent, 0.0) for fixed in self._fixed_volumes]
+        seals += [0.0] * len(self._fixed_volumes)
         place, found = 2 + len(each), list[VolumeFields]()
-        for row, balance in zip(each, self._balances, strict=True):
+        for row, balance, seal in zip(each, self._balances, seals, strict=True):
             if balance is None:
-                found.append(VolumeFields(*row, 0.0, gas.temperature, -1))
+                found.append(VolumeFields(*row, 0.0, gas.temperature, -1, seal))
                 continue
             wall = gas.temperature if balance.wall_temperature is None else balance.wall_temperature
-            found.append(VolumeFields(*row, balance.conductance, wall, place))
+            found.append(VolumeFields(*row, balance.conductance, wall, place, seal))
             place += 1
         return tuple(found)
 
@@ -494,11 +510,12 @@ class Machine(Value):
 
     @cached_property
     def is_plain(self) -> bool:
-        """Whether all is as in the paper: ideal gas, nozzles, no temperature a state, no path between volumes."""
+        """Whether all is as in the paper: an ideal gas, nozzles, constant friction, pressures the only states."""
         no_temperature = all(volume.temperature_place < 0 for volume in self.volume_fields)
+        constant = all(volume.friction_area == 0.0 for volume in self.volume_fields)
         no_law = not any(path.laws for path in self.flow_paths)
         from_outside = all(path.source < 0 for path in self.path_fields)
-        return isinstance(self.gas, Gas) and no_temperature and no_law and from_outside
+        return isinstance(self.gas, Gas) and no_temperature and constant and no_law and from_outside
 
     @cached_property
     def record(self) -> MachineRecord:

@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu._compiled import compiled, inlined
-from ltvpneu.models.machine.dynamics import STUCK, external_force
-from ltvpneu.models.machine.records import MachineRecord
+from ltvpneu._compiled import by_field, compiled, inlined
+from ltvpneu.models.machine.dynamics import STUCK, external_force, seal_friction
+from ltvpneu.models.machine.records import GeneralRecord, MachineRecord
 from ltvpneu.physics.friction import holding_force, slip_direction
 
 REVERSES, LOWER_STOP, UPPER_STOP, BREAKS_AWAY = range(4)
@@ -31,11 +31,37 @@ def at_stop(position: float, machine: MachineRecord) -> int:
     return 0
 
 
+def _seals_may_hold(machine: GeneralRecord) -> bool:
+    found = False
+    for k in range(machine.n_volumes):
+        found = found or machine.volumes[k].friction_area > 0.0
+    return found
+
+
+def _seals_do_not(machine: MachineRecord) -> bool:
+    return False
+
+
+_do_seals_hold = by_field("medium", "machine", _seals_may_hold, _seals_do_not)
+
+
 @inlined
-def _holds(position: float, machine: MachineRecord) -> tuple[float, float]:
+def can_stick(machine: MachineRecord) -> bool:
+    """Whether friction can hold the piston at all."""
+    return holding_force(machine.load.dry_friction, machine.load.stiction) > 0.0 or _do_seals_hold(machine)
+
+
+@compiled
+def hold_of(state: FloatArray, machine: MachineRecord) -> float:
+    """Return the largest force that leaves a piston at rest beside the stops, at the pressures of a state [N]."""
+    return holding_force(machine.load.dry_friction, machine.load.stiction) + seal_friction(state, machine)
+
+
+@inlined
+def _holds(state: FloatArray, machine: MachineRecord) -> tuple[float, float]:
     """Return the forces that a resting piston withstands towards lower and higher positions [N]."""
-    hold = holding_force(machine.load.dry_friction, machine.load.stiction)
-    side = at_stop(position, machine)
+    hold = hold_of(state, machine)
+    side = at_stop(state[0], machine)
     return (math.inf if side < 0 else hold), (math.inf if side > 0 else hold)
 
 
@@ -46,8 +72,7 @@ def is_pressed(state: FloatArray, machine: MachineRecord) -> bool:
     Then a move off the stop does not last: the force brings the piston back.
     """
     side = at_stop(state[0], machine)
-    hold = holding_force(machine.load.dry_friction, machine.load.stiction)
-    return side != 0 and side * external_force(state, machine) > hold
+    return side != 0 and side * external_force(state, machine) > hold_of(state, machine)
 
 
 @compiled
@@ -57,7 +82,7 @@ def mode_of(state: FloatArray, machine: MachineRecord) -> int:
         return 1
     if state[1] < 0.0:
         return -1
-    down, up = _holds(state[0], machine)
+    down, up = _holds(state, machine)
     direction = slip_direction(external_force(state, machine), down, up)
     return STUCK if direction == 0 else direction
 
@@ -66,7 +91,7 @@ def mode_of(state: FloatArray, machine: MachineRecord) -> int:
 def hold_left(state: FloatArray, machine: MachineRecord) -> float:
     """Return how much more force a resting piston withstands [N]; below zero it breaks away."""
     force = external_force(state, machine)
-    down, up = _holds(state[0], machine)
+    down, up = _holds(state, machine)
     return min(up - force, force + down)
 
 
@@ -80,7 +105,7 @@ def is_possible(kind: int, mode: int, machine: MachineRecord) -> bool:
     if kind == UPPER_STOP:
         return machine.load.upper_stop < math.inf
     # Without dry friction nothing holds the piston where its velocity reverses.
-    return holding_force(machine.load.dry_friction, machine.load.stiction) > 0.0
+    return can_stick(machine)
 
 
 @inlined

@@ -61,6 +61,8 @@ class VolumeFields(NamedTuple):
     wall_temperature: float
     temperature_place: int
     """Where in the state its temperature is; -1 where that follows from the pressure."""
+    friction_area: float
+    """Dry friction of the seals over the pressure's excess over the ambient one [m^2]."""
 
 
 class PathFields(NamedTuple):

@@ -180,7 +180,9 @@ class _Factors:
         if before == STUCK:
             # Breaks away where the external force reaches what holds it.
             gradient[0] = -machine.load.spring_stiffness
-            gradient[2 : 2 + machine.n_volumes] = [volume.push_area for volume in machine.volume_fields]
+            gradient[2 : 2 + machine.n_volumes] = [
+                volume.push_area - after * volume.friction_area for volume in machine.volume_fields
+            ]
             gradient *= self.scales
         elif at_stop and abs(arriving[1]) > 1e-6 * self.scales[1]:
             gradient[0] = 1.0

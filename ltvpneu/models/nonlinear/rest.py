@@ -5,7 +5,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, IntArray
 from ltvpneu.models.machine.dynamics import STUCK, external_force
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.piston import at_stop, is_pressed
+from ltvpneu.models.machine.piston import at_stop, hold_of, is_pressed
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.runge_kutta import Run
 from ltvpneu.models.nonlinear.settle import settle
@@ -28,10 +28,10 @@ def rests_in_a_band(machine: Machine, states: FloatArray, modes: IntArray) -> bo
         return False
     if at_stop(float(states[0, 0]), machine.record) == 0:
         return True
-    forces = [external_force(state, machine.record) for state in states]
-    hold = holding_force(machine.load.dry_friction, machine.load.stiction)
     # Pressed against an end stop by more than stiction holds, it has nowhere else to rest.
-    return max(abs(force) for force in forces) <= hold * (1 + 1e-9)
+    return all(
+        abs(external_force(state, machine.record)) <= hold_of(state, machine.record) * (1 + 1e-9) for state in states
+    )
 
 
 def what_holds(machine: Machine, states: FloatArray, modes: IntArray) -> str:
@@ -85,7 +85,9 @@ def positions_of_rest(machine: Machine) -> tuple[float, float]:
         else:
             upper = min(upper, 0.999 * edge)
     if load.spring_stiffness > 0:
-        hold = holding_force(load.dry_friction, load.stiction)
+        highest = max(machine.supply_pressure, machine.exhaust_pressure) - machine.ambient_pressure
+        seals = sum(volume.friction_area for volume in machine.volume_fields) * highest
+        hold = holding_force(load.dry_friction, load.stiction) + max(seals, 0.0)
         rest = load.constant_force + machine.cylinder.ambient_push_area * machine.ambient_pressure
         ends = np.outer(
             [volume.push_area for volume in machine.volume_fields], [machine.exhaust_pressure, machine.supply_pressure]

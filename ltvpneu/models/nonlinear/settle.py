@@ -7,10 +7,9 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
-from ltvpneu.models.machine.piston import mode_of
+from ltvpneu.models.machine.piston import can_stick, mode_of
 from ltvpneu.models.nonlinear.integrator import OK, Outcome, advance, new_log, new_workspace, record_of
 from ltvpneu.models.nonlinear.runge_kutta import Run, copy
-from ltvpneu.physics.friction import holding_force
 
 MAX_SUBHARMONIC = 64
 """Longest orbit looked for, in valve periods."""
@@ -101,7 +100,7 @@ def _settle(
     n, ring = start.size, MAX_SUBHARMONIC + 1
     history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
     space, log = new_workspace(start, machine.n_paths), new_log(n)
-    state, sticks = space.state, holding_force(machine.load.dry_friction, machine.load.stiction) > 0.0
+    state, sticks = space.state, can_stick(machine)
     # Counted from the start, or from where the state was last set ahead.
     done, simulated, best = 0, 0, math.inf
     copy(start, history[0])

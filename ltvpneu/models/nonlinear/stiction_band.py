@@ -17,9 +17,9 @@ from ltvpneu._arrays import positive
 from ltvpneu._values import Value
 from ltvpneu.models.machine.dynamics import external_force
 from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.piston import hold_of
 from ltvpneu.models.nonlinear.rest import positions_of_rest
 from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
-from ltvpneu.physics.friction import holding_force
 
 SAMPLES = 400
 
@@ -79,23 +79,24 @@ def stiction_band(machine: Machine, frequency: float) -> StictionBand:
     load = machine.load
     machine = machine.at(frequency)
     held = replace(machine, load=replace(load, stiction=1e12))
-    hold = holding_force(load.dry_friction, load.stiction)
 
     def forces(position: float) -> tuple[float, float]:
         start = np.array(machine.rest_state)
         start[0] = position
         orbit = nonlinear_orbit(held, frequency, start)
         times = np.union1d(np.linspace(0.0, orbit.period, SAMPLES), orbit.step_times)
-        found = [external_force(state, machine.record) for state in orbit.at(times).T.copy()]
-        return min(found), max(found)
+        states, record = orbit.at(times).T.copy(), machine.record
+        pushes, seals = np.array([(external_force(z, record), hold_of(z, record)) for z in states]).T
+        # What is left of the push beyond what holds at its pressures, down and up.
+        return float((pushes + seals).min()), float((pushes - seals).max())
 
     low, high = _bracket(machine)
 
     def pushed_up(position: float) -> float:
-        return forces(position)[1] - hold
+        return forces(position)[1]
 
     def pushed_down(position: float) -> float:
-        return forces(position)[0] + hold
+        return forces(position)[0]
 
     lowest = _edge(pushed_up, low, high)
     highest = _edge(pushed_down, low, high)
