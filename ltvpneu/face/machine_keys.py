@@ -91,7 +91,7 @@ TUBE = {
     "inner_diameter": Key("length", "of the tube", True, '"4 mm"'),
     "friction_factor": Key("number", "of Darcy's law", example="0.02"),
 }
-_WALL = '{ heat_transfer_coefficient = "60 W/(m^2 K)", wall_area = "0.01 m^2" }'
+_WALL = '{ heat_transfer_coefficient = "60 W/(m^2 K)", wall_area = "60 cm^2", wall_temperature = "20 degC" }'
 PROCESS = {
     "polytropic_exponent_1": Key("number", "of chamber 1: 1 isothermal, 1.4 adiabatic", example="1.0"),
     "polytropic_exponent_2": Key("number", "of chamber 2", example="1.0"),

@@ -292,13 +292,14 @@ def optimum_data(found: "DutySolution") -> dict[str, Any]:
 
 
 def write_optimum(found: "DutySolution", folder: Path) -> list[Path]:
-    """Write JSON and the picture of the cycles; return their paths."""
+    """Write JSON, the picture of the cycles and the machine at the optimum; return their paths."""
     # A lazy door, as of the study.
     from ltvpneu.face import pictures
 
-    paths = [folder / "optimum.json", folder / "optimum.png"]
+    paths = [folder / "optimum.json", folder / "optimum.png", folder / "optimum.toml"]
     paths[0].write_text(json.dumps(optimum_data(found), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     pictures.draw(found).savefig(paths[1], dpi=150)
+    paths[2].write_text((found.corrected or found).machine.to_toml(), encoding="utf-8")
     return paths
 
 

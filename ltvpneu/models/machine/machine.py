@@ -26,6 +26,7 @@ from ltvpneu.models.machine.connections import (
     routes_through,
     through_valve,
 )
+from ltvpneu.models.machine.machine_toml import machine_toml
 from ltvpneu.models.machine.openings import OpeningTable, opening_table
 from ltvpneu.models.machine.records import (
     EXHAUST,
@@ -352,6 +353,18 @@ class Machine(Value):
         """Return the machine with neither dry friction nor stiction; viscous damping stays."""
         free = replace(self.load, dry_friction=0.0, stiction=0.0, friction_area_1=0.0, friction_area_2=0.0)
         return replace(self, load=free)
+
+    def to_toml(self) -> str:
+        """Return the machine as the text of a machine file, in SI units, which `load_machine` reads as its equal.
+
+        Examples
+        --------
+        >>> import ltvpneu as lp
+        >>> text = lp.load_machine("kunt_singh_1990").with_duty(0.38).to_toml()
+        >>> [line for line in text.splitlines() if line.startswith("duty")]
+        ['duty = 0.38']
+        """
+        return machine_toml(self)
 
     # What the models read
     # ----------------------------------------------------------------------------------------------
