@@ -13,7 +13,7 @@ from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.machine_text import bundled_machines, machine_text, parsed
 from ltvpneu.models.linear.modes import MODES
 
-DRIVE_COMMANDS = ("drive", "simulate", "new", "machines", "schema")
+DRIVE_COMMANDS = ("drive", "simulate", "new", "machines", "schema", "keys")
 BAD_INPUT = 2
 """Exit code; 0 and 1 are those of the commands."""
 
@@ -157,6 +157,7 @@ def _add_drive_commands(commands: Any, machine_help: str) -> None:
     machines = commands.add_parser("machines", help="list the bundled machines and valves")
     machines.add_argument("--json", action="store_true", help="as JSON")
     commands.add_parser("schema", help="print the JSON Schema of machine files, for editors")
+    commands.add_parser("keys", help="print a page of all keys of machine files")
 
 
 def _add_goals(parser: argparse.ArgumentParser) -> None:

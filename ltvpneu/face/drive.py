@@ -100,7 +100,7 @@ def switching_text(found: Switching) -> str:
         )
     ]
     lines = [
-        f"  usable duty        {low:.3f} to {high:.3f}; beyond, the valve's delays leave it shut, or open",
+        f"  usable duty        {low:.3f} to {high:.3f}; beyond, the valve's times leave it shut, or open",
         table(["duty", "mean position [mm]", "ripple, peak to peak [mm]", "air [Nl/min]", "remark"], rows),
         f"  balance            {_balance(found)}",
         f"  switches           {found.switches_per_hour:.4g} an hour"

@@ -1,4 +1,4 @@
-"""What `drive`, `simulate`, `new`, `machines` and `schema` do; loaded once the command line has been read."""
+"""What `drive`, `simulate`, `new`, `machines`, `schema` and `keys` do; loaded once the command line has been read."""
 
 import argparse
 import csv
@@ -162,6 +162,14 @@ def schema(options: argparse.Namespace) -> int:
     from ltvpneu.face.schema import machine_schema
 
     print(json.dumps(machine_schema(), indent=2))
+    return 0
+
+
+def keys(options: argparse.Namespace) -> int:
+    """Print a page of all keys of machine files."""
+    from ltvpneu.face.keys_page import keys_page
+
+    print(keys_page(), end="")
     return 0
 
 

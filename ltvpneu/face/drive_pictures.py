@@ -112,7 +112,7 @@ def draw_switching(found: Switching) -> Figure:
     above.legend(fontsize=8)
     below.set_ylabel("air [Nl/min]")
     below.set_ylim(bottom=0)
-    below.set_xlabel("commanded duty (dashed: where the valve's delays leave it shut or open)")
+    below.set_xlabel("commanded duty (dashed: where the valve's times leave it shut or open)")
     figure.suptitle(f"{orbits.machine.name}: switched at {found.frequency:.4g} Hz", fontsize=11)
     return figure
 

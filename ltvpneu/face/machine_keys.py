@@ -168,6 +168,8 @@ SWITCHING = {
     "closing_delay": Key("time", "from the end of the command until the spool moves", example='"18 ms"'),
     "opening_time": Key("time", "of the spool's way", example='"3 ms"'),
     "closing_time": Key("time", "of the spool's way back", example='"3 ms"'),
+    "shortest_on": Key("time", "shortest command that the maker allows", example='"5 ms"'),
+    "shortest_off": Key("time", "shortest pause that the maker allows", example='"5 ms"'),
 }
 VALVE = {
     "type": Key(str, "ports / positions", True, '"5/2"', choices=DIRECTIONAL),

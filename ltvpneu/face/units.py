@@ -117,6 +117,11 @@ def example_of(kind: object) -> str:
     return "{}"
 
 
+def units_of() -> dict[str, tuple[str, ...]]:
+    """Return the known units of each dimension."""
+    return {dimension: tuple(unit for unit in units if unit) for dimension, units in _UNITS.items()}
+
+
 def _normal(unit: str) -> str:
     """Spell a unit as in the table: powers with ^, products with a space."""
     unit = unit.replace("²", "^2").replace("³", "^3").replace("**", "^").replace("µ", "u").replace("°", "deg")

@@ -17,6 +17,7 @@ from ltvpneu.physics.profile import TURN
 from ltvpneu.physics.valve import check_duty
 from ltvpneu.physics.window import Pulses, Window, check_pulses
 
+_TIMES = ("opening_delay", "closing_delay", "opening_time", "closing_time", "shortest_on", "shortest_off")
 LONGEST_TIME = 10.0
 """Beyond this a valve's time is more likely in milliseconds [s]."""
 
@@ -40,6 +41,8 @@ class OnOffValve(Value):
         From the command until the spool moves [s].
     opening_time, closing_time : float
         From then until it has come to its other end [s].
+    shortest_on, shortest_off : float
+        Shortest command and shortest pause that its maker allows [s]: what designs keep to; models follow any command.
 
     Examples
     --------
@@ -56,11 +59,13 @@ class OnOffValve(Value):
     closing_delay: float = 0.0
     opening_time: float = 0.0
     closing_time: float = 0.0
+    shortest_on: float = 0.0
+    shortest_off: float = 0.0
 
     def __post_init__(self) -> None:
         not_negative("ramp", self.ramp, "rad")
         finite("start", self.start, "rad")
-        for name in ("opening_delay", "closing_delay", "opening_time", "closing_time"):
+        for name in _TIMES:
             time = not_negative(name, getattr(self, name), "s")
             if time > LONGEST_TIME:
                 raise ValueError(f"{name}: found {time:g} s, expected at most {LONGEST_TIME:g} s (12 ms is 0.012 s)")
@@ -93,6 +98,12 @@ class OnOffValve(Value):
     def open_share(self, frequency: float) -> float:
         """Return the share of the period for which its "on" paths are open at a frequency [Hz]."""
         return min(self.open_window(frequency).width / TURN, 1.0)
+
+    def duty_band(self, frequency: float) -> tuple[float, float]:
+        """Return the commanded duties between which it opens and shuts, and is on and off for long enough, at [Hz]."""
+        speed = positive("frequency", frequency, "Hz")
+        least = max(self.opening_delay, self.shortest_on) * speed
+        return min(least, 1.0), max(1 - max(self.closing_delay, self.shortest_off) * speed, 0.0)
 
     def open_window(self, frequency: float) -> Window | Pulses:
         """Return the arcs over which its "on" paths are open at a frequency [Hz]."""

@@ -12,6 +12,7 @@ import pytest
 import ltvpneu as lp
 from ltvpneu.face.cli import main
 from ltvpneu.face.machine_file import parse_machine
+from ltvpneu.face.machine_keys import TABLES
 from ltvpneu.face.machine_text import bundled_machines, bundled_valves, machine_text
 from ltvpneu.face.schema import machine_schema
 
@@ -153,6 +154,16 @@ def test_schema_holds_for_every_bundled_file_and_refuses_a_typo(
     data["cylinder"]["bor"] = data["cylinder"].pop("bore")
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(data, schema)
+
+
+def test_page_of_keys_is_up_to_date(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["keys"]) == 0
+    page = capsys.readouterr().out
+    # After a change of the keys: ltvpneu keys > ltvpneu/machines/KEYS.md
+    assert page == (resources.files("ltvpneu") / "machines" / "KEYS.md").read_text(encoding="utf-8")
+    for keys in TABLES.values():
+        for name in keys:
+            assert f"| {name} |" in page or f"| **{name}** |" in page
 
 
 def test_valve_data_name_their_source() -> None:

@@ -80,6 +80,13 @@ def test_pause_over_the_end_of_the_turn_is_not_noticed_either() -> None:
     assert window.width / TURN == pytest.approx(0.35 + 0.35 + 0.1 + 0.006 / T)
 
 
+def test_shortest_commands_narrow_the_duty_band() -> None:
+    valve = OnOffValve(opening_delay=0.002, closing_delay=0.003, shortest_on=0.005, shortest_off=0.001)
+    assert valve.duty_band(20.0) == pytest.approx((0.1, 0.94))
+    # Models follow the command that is given.
+    assert replace(valve, duty=0.08).open_share(20.0) == pytest.approx(0.08 + 0.001 * 20)
+
+
 def test_valve_without_times_is_as_told() -> None:
     valve = OnOffValve(duty=0.3, ramp=0.1, start=0.2)
     assert valve.open_window(20.0) == valve.on_window()

@@ -46,13 +46,13 @@ def least_shares(machine: Machine) -> tuple[float, float]:
 
 
 def shortest_commands(machine: Machine) -> tuple[float, float]:
-    """Return the shortest command on, and off, that opens the machine's valve fully, and shuts it [s]."""
+    """Return the shortest command on, and off, that the machine's valve allows, opens fully by, and shuts by [s]."""
     valve = machine.valve
     if not isinstance(valve, OnOffValve):
         return 0.0, 0.0
     lag = valve.opening_delay - valve.closing_delay
-    on, off = max(valve.opening_delay, lag + valve.opening_time), max(valve.closing_delay, valve.closing_time - lag)
-    return (on, off) if valve.has_times else (0.0, 0.0)
+    on, off = (lag + valve.opening_time, valve.closing_time - lag) if valve.has_times else (0.0, 0.0)
+    return max(on, valve.opening_delay, valve.shortest_on), max(off, valve.closing_delay, valve.shortest_off)
 
 
 def drawn_in(machine: Machine, pair: Bounds) -> Bounds:

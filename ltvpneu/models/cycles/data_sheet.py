@@ -87,7 +87,8 @@ class Switching(Value):
     frequency: float
     """[Hz]"""
     duty_band: tuple[float, float]
-    """Commanded duties between which the valve opens and shuts: beyond, its delays leave it shut or open [-]."""
+    """Commanded duties between which the valve works: beyond, its delays leave it shut or open, or commands are too
+    short for it [-]."""
     balance_duty: float
     """Commanded duty at which the pressures balance the load with the piston at mid-stroke [-]; nan where none does."""
     balance_open_share: float
@@ -245,12 +246,11 @@ def _switching(
 
 
 def duty_band(machine: Machine, frequency: float) -> tuple[float, float]:
-    """Return the commanded duties between which the machine's valve opens and shuts at a frequency [Hz]."""
+    """Return the commanded duties between which the machine's valve works at a frequency [Hz]."""
     valve = machine.valve
     if not isinstance(valve, OnOffValve):
         return 0.0, 1.0
-    low, high = valve.opening_delay * frequency, 1 - valve.closing_delay * frequency
-    return min(low, 1.0), max(high, 0.0)
+    return valve.duty_band(frequency)
 
 
 def balance_duty(machine: Machine, frequency: float, position: float | None = None) -> float:
