@@ -27,7 +27,8 @@ TITLES = {
 _HEAD = """# Keys of a machine file
 
 Quantities are strings of a number and a unit, or plain numbers in SI units. Pressures are absolute unless marked gauge,
-as in "6 bar(g)". Keys in **bold** have to be there. `ltvpneu new` prints a file to start from, `ltvpneu schema` a JSON Schema.
+as in "6 bar(g)". Keys in **bold** have to be there. `ltvpneu new` prints a file to start from, `ltvpneu schema` a JSON
+Schema, with which editors complete and check it.
 """
 
 

@@ -47,7 +47,7 @@ MACHINE = {
     "more_valves": Key(list, "further valves, for flow paths that name them by number", table="on_off"),
 }  # fmt: skip
 GAS = {
-    "heat_capacity_ratio": Key("number", "air: 1.4"),
+    "heat_capacity_ratio": Key("number", "air: 1.4", example="1.4"),
     "specific_gas_constant": Key("gas constant", "air: 287.05 J/(kg K)"),
     "temperature": Key("temperature", "of the supply and the surroundings"),
 }
@@ -60,13 +60,13 @@ REAL_GAS = {
 LIQUID = {
     "density": Key("density", "at the reference pressure"),
     "bulk_modulus": Key("pressure", "of the liquid without gas", example='"1.4 GPa"'),
-    "bulk_modulus_slope": Key("number", "rise of the bulk modulus over the pressure"),
+    "bulk_modulus_slope": Key("number", "rise of the bulk modulus over the pressure", example="10.0"),
     "entrained_gas": Key("number", "share of the volume at the reference pressure", example="0.005"),
-    "gas_exponent": Key("number", "polytropic exponent of the entrained gas"),
+    "gas_exponent": Key("number", "polytropic exponent of the entrained gas", example="1.4"),
     "viscosity": Key("viscosity", "dynamic"),
-    "critical_reynolds_number": Key("number", "at which flow through an orifice turns turbulent"),
-    "vapor_pressure": Key("pressure", "below which it cavitates"),
-    "reference_pressure": Key("pressure", "of density and entrained gas"),
+    "critical_reynolds_number": Key("number", "at which flow through an orifice turns turbulent", example="150.0"),
+    "vapor_pressure": Key("pressure", "below which it cavitates", example='"2 kPa"'),
+    "reference_pressure": Key("pressure", "of density and entrained gas", example='"1.013 bar"'),
     "temperature": Key("temperature", "for information: a liquid's is no state"),
 }
 ENERGY_BALANCE = {
@@ -77,7 +77,7 @@ ENERGY_BALANCE = {
 INNER_VOLUME = {
     "name": Key(str, "of the ports' volume that it is"),
     "volume": Key("volume", "its size", True),
-    "polytropic_exponent": Key("number", "1 isothermal, 1.4 adiabatic"),
+    "polytropic_exponent": Key("number", "1 isothermal, 1.4 adiabatic", example="1.0"),
     "energy_balance": Key(dict, "instead of an exponent", table="energy_balance"),
 }
 RIGID_VOLUME = {
