@@ -1,6 +1,7 @@
 """Kernels on disk are found as long as nothing that they were compiled from has changed, wherever they lie."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -129,9 +130,10 @@ def test_compiling_is_told_and_what_is_found_is_not(laws):
     out, said = ask(laws, TOLD + ASK)
     assert out == "7.0 2.0 4 0 0"
     # Two kernels, one after the other, each with the law that it calls.
-    assert list(dict.fromkeys(said.splitlines())) == [
-        "compiling the machine's equations, once: 1 of 2, 0 s",
-        "compiled the machine's equations: 2 parts in 0 s",
+    lines = dict.fromkeys(re.sub(r"[0-9]+ s$", "some s", line) for line in said.splitlines())
+    assert list(lines) == [
+        "compiling the machine's equations, once: 1 of 2, some s",
+        "compiled the machine's equations: 2 parts in some s",
     ]
     assert ask(laws, TOLD + ASK) == ("7.0 2.0 0 2 0", "")
 

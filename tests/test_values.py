@@ -17,6 +17,7 @@ import pytest
 import ltvpneu as lp
 from ltvpneu import design, errors
 from ltvpneu._values import Value, same
+from tests.models.nonlinear.test_stroke import lift
 
 MACHINE = lp.load_machine("kunt_singh_1990")
 CLASSES = {
@@ -54,6 +55,9 @@ def forcing() -> Any:
 
 DRIVE = lp.load_machine("double_acting_5_2")
 SAMPLES: dict[str, Callable[[], Any]] = {
+    "ISO6358": lambda: lp.ISO6358(sonic_conductance=0.7e-8),
+    "Stroke": lambda: lp.stroke(lift()),
+    "Tube": lambda: lp.Tube(length=1.0, inner_diameter=0.004),
     "AmplitudeResponse": lambda: lp.amplitude_response(sprung_less(), [5.0, 9.0]),
     "Attractors": lambda: lp.attractors(MACHINE, 8.0),
     "Balance": lambda: lp.balance(MACHINE, lp.nonlinear_orbit(MACHINE, 8.0)),
@@ -63,6 +67,7 @@ SAMPLES: dict[str, Callable[[], Any]] = {
     "ClosedLoop": closed_loop,
     "Command": lambda: lp.Command(angles=(0.0, 2.0), openings=(-0.8, 1.0)),
     "Cylinder": lambda: MACHINE.cylinder,
+    "DataSheet": lambda: lp.data_sheet(lift(), 20.0),
     "DormandPrince": lp.DormandPrince,
     "DutyMap": lambda: design.duty_map(MACHINE, [0.4, 0.5], [8.0]),
     "DutySolution": optimum,

@@ -184,7 +184,7 @@ def data_sheet(
     >>> import ltvpneu as lp
     >>> found = lp.data_sheet(lp.load_machine("double_acting_5_2"))
     >>> print(f"{found.air.volume * 1e3:.2f} normal litres a double stroke")
-    1.50 normal litres a double stroke
+    0.95 normal litres a double stroke
     """
     positive("price", price)
     strokes = {"out": stroke(machine, "out"), "in": stroke(machine, "in")}

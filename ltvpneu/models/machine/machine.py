@@ -133,8 +133,8 @@ class Machine(Value):
             raise ValueError(f'collapse: found {self.collapse!r}, expected "minimum", "in_series" or "dynamic"')
         if self.switching_frequency is not None:
             positive("switching_frequency", self.switching_frequency, "Hz")
-        self._check_names()
         self._check_connections()
+        self._check_names()
         self._check_medium()
         self._check_seals()
         self._check_room()
