@@ -288,6 +288,8 @@ def _entry_ranges(
     machine: Machine, position: tuple[float, float], pressures: Sequence[tuple[float, float]]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the least and greatest value of each entry of G over the box and all openings."""
+    # A valve with delays has the same positions at every frequency at which it opens and shuts.
+    machine = machine.at(machine.switching_frequency or 1.0)
     areas = np.concatenate([machine.openings.areas[:, (0, 2)], machine.openings.areas[:, (1, 3)]])
     areas = np.unique(areas, axis=0)
     n = len(machine.states)

@@ -21,6 +21,7 @@ from ltvpneu.models.cycles.orbit_map import OrbitMap
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.steady import steady_state
+from ltvpneu.physics.on_off_valve import OnOffValve
 
 MARKERS = "osD^vP*X"
 MOST_NAMED = 3
@@ -220,14 +221,15 @@ def _cycles_and_openings(orbits: dict[str, Orbit | str], machine: Machine, frequ
         style = {"color": PALETTE[number % len(PALETTE)], "linestyle": ["-", "--", ":", "-."][number % 4]}
         label = f"{name}: mean {1e3 * orbit.mean(0):.1f} mm, amplitude {1e3 * orbit.amplitude(0):.2f} mm"
         upper.plot(1e3 * times, 1e3 * orbit.at(times)[0], label=label, **style)
-    on = machine.valve.on_window().profile
+    valve = machine.valve
+    on = (valve.open_window(frequency) if isinstance(valve, OnOffValve) else valve.on_window()).profile
     angles = np.linspace(0.0, 2 * np.pi, 1200, endpoint=False)
     lower.fill_between(
         1e3 * angles / (2 * np.pi * frequency), [on.at(float(angle)) for angle in angles], color=PALETTE[0], alpha=0.4,
         step="post",
     )  # fmt: skip
     upper.set_ylabel("position [mm]")
-    lower.set_ylabel("valve on")
+    lower.set_ylabel("valve open")
     lower.set_yticks([0, 1])
     lower.set_xlabel("time [ms]")
     upper.set_title(title, fontsize=10)

@@ -118,6 +118,21 @@ def test_angles_of_times_need_a_frequency(delayed: lp.Machine) -> None:
     assert delayed.at(FREQUENCY).openings.fractions.size > 2
 
 
+def test_maps_and_boxes_take_delays(delayed: lp.Machine) -> None:
+    found = lp.validity_map(delayed, [0.3, 0.45], [FREQUENCY])
+    assert np.isfinite(found.errors).all()
+    assert lp.orbit_map(delayed, [0.3, 0.45], [FREQUENCY], n_spread=0).count("failed") == 0
+    stability = design.stability_map(delayed, [0.3, 0.45], [FREQUENCY])
+    assert stability.is_stable.all()
+    state = [0.0, 0.0, 3e5, 3e5]
+    with pytest.raises(ValueError, match="expected machine.at"):
+        lp.linearize(delayed, state)
+    areas = np.array([[1e-6, 0.0, 0.0, 1e-6], [np.inf] * 4])
+    assert lp.linearize(delayed, state, areas=areas).A.shape == (4, 4)
+    assert lp.amplitude_response(delayed, [10.0, FREQUENCY]).failures == ()
+    assert lp.attractors(delayed, FREQUENCY).orbits
+
+
 def test_closed_loop_works_through_the_delays(delayed: lp.Machine) -> None:
     same = design.simulate_closed_loop(delayed, lambda _: DUTY, np.zeros(30), FREQUENCY)
     orbit = lp.nonlinear_orbit(delayed, FREQUENCY)

@@ -57,7 +57,7 @@ def validity_map(
     [[0.1], [0.6]]
     """
     duty_grid, frequency_grid = grid_of(duties, frequencies)
-    n_steps = default_steps(machine) if n_steps is None else n_steps
+    n_steps = default_steps(machine.at(float(frequency_grid[0]))) if n_steps is None else n_steps
     shape = (frequency_grid.size, duty_grid.size)
     amplitudes, errors = np.full(shape, np.nan), np.full(shape, np.nan)
     failures: list[FailedPoint] = []

@@ -105,7 +105,7 @@ class _Corrector(Value):
     def given(self, points: FloatArray) -> Given:
         machine, cells = self.machine, self.cells
         once = np.mod((cells[:-1] + cells[1:]) / 2, 1.0)
-        areas = np.empty((once.size, 2, len(machine.connections)))
+        areas = np.empty((once.size, 2, len(machine.ends)))
         for number in range(self.orbit.n_periods):
             mine = (cells[:-1] >= number - 1e-12) & (cells[:-1] < number + 1 - 1e-12)
             ends = np.clip(np.append(cells[:-1][mine], number + 1.0) - number, 0.0, 1.0)

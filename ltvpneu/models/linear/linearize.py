@@ -82,9 +82,9 @@ def linearize(
         raise ValueError("angle, areas: found both, expected one of them")
     else:
         openings = np.array(areas, dtype=np.float64)
-        if openings.shape != (2, len(machine.connections)) or np.isnan(openings).any() or (openings < 0).any():
+        if openings.shape != (2, len(machine.ends)) or np.isnan(openings).any() or (openings < 0).any():
             raise ValueError(
-                f"areas: found {openings.tolist()}, expected numbers >= 0 of shape (2, {len(machine.connections)})"
+                f"areas: found {openings.tolist()}, expected numbers >= 0 of shape (2, {len(machine.ends)})"
             )
     found = linearize_steps(machine, point[None], openings[None], tangent)
     return Linearization(A=found.A[0], B=found.B[0], r=found.r[0], f=found.f[0])
