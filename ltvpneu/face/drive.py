@@ -20,7 +20,8 @@ def drive_text(sheet: DataSheet) -> str:
     if sheet.air is not None:
         parts += [heading("Air"), air_text(sheet.air)]
     if sheet.switching is not None:
-        parts += [heading(f"Switched at {sheet.switching.frequency:.4g} Hz"), switching_text(sheet.switching)]
+        title = heading(f"Switched at {sheet.switching.frequency:.4g} Hz")
+        parts += [title, switching_text(sheet.switching, sheet.air is not None)]
     if sheet.remarks:
         parts += ["", *(f"! {remark}" for remark in sheet.remarks)]
     return "\n".join(parts) + "\n"
@@ -51,13 +52,14 @@ def sketch(machine: Machine) -> str:
 
 def strokes_table(sheet: DataSheet) -> str:
     """Return both strokes."""
+    drawn = "air [Nl]" if sheet.air is not None else "drawn [kg]"
     header = ["stroke", "time [ms]", "delay before [ms]", "moves after [ms]", "at the stop [m/s]", "impact [J]",
-              "greatest force [N]", "air [Nl]"]  # fmt: skip
-    return table(header, [_stroke_row(name, one) for name, one in sheet.strokes.items()])
+              "greatest force [N]", drawn]  # fmt: skip
+    return table(header, [_stroke_row(name, one, sheet.air is not None) for name, one in sheet.strokes.items()])
 
 
-def _stroke_row(name: str, one: Stroke) -> list[str]:
-    air = f"{1e3 * one.air_mass / ANR_DENSITY:.3f}"
+def _stroke_row(name: str, one: Stroke, is_air: bool) -> list[str]:
+    air = f"{1e3 * one.air_mass / ANR_DENSITY:.3f}" if is_air else f"{one.air_mass:.4f}"
     return [
         name,
         f"{1e3 * one.time:.1f}" if one.arrives else "-",
@@ -83,7 +85,7 @@ def air_text(air: AirUse) -> str:
     return "\n".join(lines)
 
 
-def switching_text(found: Switching) -> str:
+def switching_text(found: Switching, is_air: bool) -> str:
     """Return what duties do at a frequency."""
     low, high = found.duty_band
     orbits = found.orbits
@@ -92,21 +94,28 @@ def switching_text(found: Switching) -> str:
             f"{duty:.3f}",
             f"{1e3 * mean:.2f}" if math.isfinite(mean) else "-",
             f"{2e3 * ripple:.2f}" if math.isfinite(ripple) else "-",
-            f"{6e4 * flow / ANR_DENSITY:.1f}" if math.isfinite(flow) else "-",
+            _flow_shown(flow, is_air),
             kind,
         ]
         for duty, mean, ripple, flow, kind in zip(
             orbits.duties, orbits.means[0], orbits.amplitudes[0], found.mass_flows, orbits.kinds[0], strict=True
         )
     ]
+    drawn = "air [Nl/min]" if is_air else "drawn [kg/min]"
     lines = [
         f"  usable duty        {low:.3f} to {high:.3f}; beyond, the valve's times leave it shut, or open",
-        table(["duty", "mean position [mm]", "ripple, peak to peak [mm]", "air [Nl/min]", "remark"], rows),
+        table(["duty", "mean position [mm]", "ripple, peak to peak [mm]", drawn, "remark"], rows),
         f"  balance            {_balance(found)}",
         f"  switches           {found.switches_per_hour:.4g} an hour"
         + ("" if math.isnan(found.shortest_life) else f"; the valve lasts {found.shortest_life:.0f} hours"),
     ]
     return "\n".join(lines)
+
+
+def _flow_shown(flow: float, is_air: bool) -> str:
+    if not math.isfinite(flow):
+        return "-"
+    return f"{6e4 * flow / ANR_DENSITY:.1f}" if is_air else f"{60 * flow:.2f}"
 
 
 def _balance(found: Switching) -> str:

@@ -9,6 +9,7 @@ from ltvpneu.face.shown import PALETTE, unit_of
 from ltvpneu.models.cycles.data_sheet import DataSheet, Switching
 from ltvpneu.models.nonlinear.stroke import Stroke
 from ltvpneu.physics.iso6358 import ANR_DENSITY
+from ltvpneu.physics.liquid import Liquid
 
 
 def draw_strokes(sheet: DataSheet) -> Figure:
@@ -103,14 +104,16 @@ def draw_switching(found: Switching) -> Figure:
         above.axhline(1e3 * stop, color="0.6", linewidth=0.8, linestyle=":")
     above.plot([], [], "o", color=PALETTE[0], label="mean and ripple, whatever the start")
     above.plot([], [], "o", color=PALETTE[1], label="depends on the start")
-    below.plot(orbits.duties, 6e4 * found.mass_flows / ANR_DENSITY, "o-", color=PALETTE[4], markersize=4)
+    is_air = not isinstance(orbits.machine.gas, Liquid)
+    flows = found.mass_flows * (6e4 / ANR_DENSITY if is_air else 60.0)
+    below.plot(orbits.duties, flows, "o-", color=PALETTE[4], markersize=4)
     for ax in (above, below):
         for edge in found.duty_band:
             ax.axvline(edge, color="0.4", linewidth=0.8, linestyle="--")
         ax.grid(alpha=0.3)
     above.set_ylabel("position [mm]")
     above.legend(fontsize=8)
-    below.set_ylabel("air [Nl/min]")
+    below.set_ylabel("air [Nl/min]" if is_air else "drawn [kg/min]")
     below.set_ylim(bottom=0)
     below.set_xlabel("commanded duty (dashed: where the valve's times leave it shut or open)")
     figure.suptitle(f"{orbits.machine.name}: switched at {found.frequency:.4g} Hz", fontsize=11)

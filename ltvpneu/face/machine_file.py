@@ -78,6 +78,11 @@ def parse_machine(text: str, name: str) -> Machine:
     else:
         _expect_both(top, file)
         fitted = _cylinder(top.pop("cylinder"), file)
+        if isinstance(medium, Liquid) and any(fitted.tubes):
+            raise MachineFileError(
+                f"{file}: cylinder.tube_1, tube_2: found a tube in a machine of a liquid, expected its volume as part "
+                "of dead_volume_1, dead_volume_2: a tube's law of flow is that of a gas"
+            )
         load = _load(top.pop("load"), fitted, file)
     places = (*fitted.cylinder.chambers, *(tank.name for tank in tanks))
     found = read_valve(top.pop("valve"), places, fitted.tubes, medium, file)

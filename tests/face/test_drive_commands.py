@@ -79,6 +79,43 @@ def test_drive_prints_json(drive_file: Path, capsys: pytest.CaptureFixture[str])
     assert "switching" not in found
 
 
+OIL = """
+name = "Oil"
+supply_pressure = "100 bar"
+exhaust_pressure = "3 bar"
+[liquid]
+[cylinder]
+bore = "32 mm"
+rod = "18 mm"
+stroke = "100 mm"
+clearance = "20 %"
+[load]
+mass = "20 kg"
+viscous_damping = "400 N s/m"
+[valve]
+type = "5/2"
+Kv = 0.4
+"""
+
+
+def test_drive_of_a_liquid_weighs_what_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "oil.toml"
+    path.write_text(OIL, encoding="utf-8")
+    assert main(["drive", str(path), "--frequency", "10", "--out", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    assert "drawn [kg]" in shown
+    assert "Nl" not in shown
+    # The swept volume of the bore, and what oil is compressed by besides.
+    drawn = lp.stroke(lp.load_machine(path)).air_mass
+    assert drawn == pytest.approx(860 * 8.04e-4 * 0.1, rel=0.03)
+
+
+def test_tube_of_a_liquid_is_refused() -> None:
+    text = OIL.replace("stroke =", 'tube_1 = { length = "1 m", inner_diameter = "8 mm" }\nstroke =')
+    with pytest.raises(lp.MachineFileError, match="found a tube in a machine of a liquid"):
+        parse_machine(text, "oil.toml")
+
+
 def test_drive_names_what_it_cannot(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["drive", "kunt_singh_1990"]) == 2
     assert "without both end stops" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray, positive, read_only
+from ltvpneu._arrays import FloatArray, finite, positive, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycles.orbit_map import OrbitMap, orbit_map
@@ -274,8 +274,11 @@ def balance_duty(machine: Machine, frequency: float, position: float | None = No
     if isinstance(machine.valve, ProportionalValve):
         raise ValueError("machine: found a proportional valve, expected one that switches")
     middle = (machine.cylinder.lower_stop + machine.cylinder.upper_stop) / 2
+    place = middle if position is None else finite("position", position, "m")
+    if not math.isfinite(place):
+        raise ValueError("position: found none, and a cylinder without both end stops; expected a position [m]")
     start = np.array(machine.rest_state)
-    start[0] = middle if position is None else position
+    start[0] = place
     # So much stiction that it stays where it is put.
     held = replace(machine.at(frequency), load=replace(machine.load, stiction=1e12))
 

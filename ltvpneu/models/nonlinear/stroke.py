@@ -259,10 +259,14 @@ def _push(state: FloatArray, machine: Machine) -> float:
 
 
 def _delay(machine: Machine) -> float:
-    """Return how long after the command the valve is across its middle, on its way to where it is [s]."""
-    valve = machine.valve
-    if not isinstance(valve, OnOffValve):
-        return 0.0
-    if valve.duty > 0:
-        return valve.opening_delay + valve.opening_time / 2
-    return valve.closing_delay + valve.closing_time / 2
+    """Return how long after the command the valves are across their middles, on their way to where they are [s].
+
+    Of two coils, one of which goes on as the other goes off, the later counts.
+    """
+    delays = [0.0]
+    for valve in (machine.valve, *machine.more_valves):
+        if isinstance(valve, OnOffValve) and valve.duty > 0:
+            delays.append(valve.opening_delay + valve.opening_time / 2)
+        elif isinstance(valve, OnOffValve):
+            delays.append(valve.closing_delay + valve.closing_time / 2)
+    return max(delays)

@@ -162,6 +162,14 @@ def test_two_coils_are_on_one_at_a_time() -> None:
     assert lp.stroke(machine, "in").time == pytest.approx(lp.stroke(lift(), "in").time, rel=1e-9)
 
 
+def test_later_of_two_coils_counts() -> None:
+    law = lp.ISO6358(sonic_conductance=0.7e-8)
+    one, two = lp.OnOffValve(opening_delay=0.01, closing_delay=0.002), lp.OnOffValve(opening_delay=0.02)
+    machine = lift(flow_paths=lp.directional_paths("5/3 closed", law), valve=one, more_valves=(two,))
+    assert lp.stroke(machine, "out").delay == 0.01
+    assert lp.stroke(machine, "in").delay == 0.02
+
+
 def test_stroke_needs_stops_and_a_valve_that_switches(table_1: lp.Machine) -> None:
     with pytest.raises(ValueError, match="without both end stops"):
         lp.stroke(table_1)
@@ -184,6 +192,12 @@ def test_balance_at_mid_stroke() -> None:
     assert lp.balance_duty(replace(machine, valve=lp.OnOffValve()), 20.0) == pytest.approx(0.457, abs=3e-3)
     # The command is shorter: the valve closes later than it opens.
     assert lp.balance_duty(machine, 20.0) == pytest.approx(0.457 - 0.12, abs=3e-3)
+
+
+def test_balance_needs_a_place(table_1: lp.Machine) -> None:
+    with pytest.raises(ValueError, match="without both end stops"):
+        lp.balance_duty(table_1, 10.0)
+    assert 0.3 < lp.balance_duty(table_1, 15.0, 0.045) < 0.6
 
 
 @pytest.fixture(scope="module")
