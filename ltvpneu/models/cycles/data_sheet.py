@@ -26,7 +26,7 @@ from ltvpneu.physics.on_off_valve import OnOffValve
 from ltvpneu.physics.proportional import ProportionalValve
 
 PRICE = 0.02
-"""Of a cubic metre of compressed air at ANR, where none is given; 0.01 to 0.03 EUR are usual."""
+"""Of a cubic metre of compressed air at ANR, where none is given: an example, not a tariff."""
 N_DUTIES = 9
 """Duties at which the orbits are looked at."""
 CLOSE_DUTY = 1e-7

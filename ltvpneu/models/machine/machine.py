@@ -12,17 +12,22 @@ from typing import Any, cast, final
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray, not_negative, positive, read_only
+from ltvpneu._arrays import FloatArray, positive, read_only
 from ltvpneu._values import Value
+from ltvpneu.models.machine.checks import (
+    check_connections,
+    check_medium,
+    check_names,
+    check_pressures,
+    check_room,
+    check_seals,
+)
 from ltvpneu.models.machine.connections import (
-    CHAMBERS,
     COLLAPSES,
-    SOURCES,
     Collapse,
     Connection,
     FlowPath,
     Route,
-    check_ways,
     routes_through,
     through_valve,
 )
@@ -32,8 +37,6 @@ from ltvpneu.models.machine.records import (
     EXHAUST,
     GENERAL,
     INPUTS,
-    MAX_PATHS,
-    MAX_VOLUMES,
     PLAIN,
     SUPPLY,
     LoadFields,
@@ -48,7 +51,7 @@ from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.iso6358 import NOZZLES, PathLaw
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.load import Load
-from ltvpneu.physics.medium import LAMINAR, MAX_TABLE, Medium, MediumFields, check_process, warn_if_cold
+from ltvpneu.physics.medium import LAMINAR, MAX_TABLE, Medium, MediumFields
 from ltvpneu.physics.on_off_valve import OnOffValve
 from ltvpneu.physics.proportional import Command, ProportionalValve
 from ltvpneu.physics.real_gas import RealGas
@@ -115,131 +118,16 @@ class Machine(Value):
     switching_frequency: float | None = None
 
     def __post_init__(self) -> None:
-        if self.exhaust_pressure == 0:
-            raise ValueError(
-                "exhaust_pressure: found 0 Pa, expected a finite number above zero, for pressures are absolute; was "
-                "that of the ambient air meant, 0 bar(g)?"
-            )
-        positive("exhaust_pressure", self.exhaust_pressure, "Pa")
-        not_negative("ambient_pressure", self.ambient_pressure, "Pa")
-        positive("supply_pressure", self.supply_pressure, "Pa")
-        if self.supply_pressure < self.exhaust_pressure:
-            raise ValueError(
-                f"supply_pressure: found {self.supply_pressure:g} Pa, below the exhaust pressure "
-                f"{self.exhaust_pressure:g} Pa; expected both absolute (a gauge pressure is written with the suffix "
-                "(g), as in '3.1 bar(g)')"
-            )
+        check_pressures(self)
         if self.collapse not in COLLAPSES:
             raise ValueError(f'collapse: found {self.collapse!r}, expected "minimum", "in_series" or "dynamic"')
         if self.switching_frequency is not None:
             positive("switching_frequency", self.switching_frequency, "Hz")
-        self._check_connections()
-        self._check_names()
-        self._check_medium()
-        self._check_seals()
-        self._check_room()
-
-    def _check_seals(self) -> None:
-        """Raise where dry friction would fall below zero at the exhaust pressure."""
-        below = self.ambient_pressure - self.exhaust_pressure
-        eased = below * (self.load.friction_area_1 + self.load.friction_area_2)
-        if eased > self.load.dry_friction:
-            raise ValueError(
-                f"load.friction_area_1, friction_area_2: found {eased:g} N less friction at the exhaust pressure "
-                f"than at the ambient one, more than the dry friction of {self.load.dry_friction:g} N; expected "
-                "smaller areas"
-            )
-
-    def _check_room(self) -> None:
-        """Raise unless the machine has room in its record."""
-        for what, found, room in (
-            ("volumes", len(self.volumes), MAX_VOLUMES),
-            ("flow paths", len(self.ends), MAX_PATHS),
-            ("numbers in the table of its medium", self.gas.table.size, MAX_TABLE),
-        ):
-            if found > room:
-                raise ValueError(f"machine: found {found} {what}, expected at most {room}")
-
-    def _check_connections(self) -> None:
-        for path in self.flow_paths:
-            if path.valve > len(self.more_valves):
-                raise ValueError(
-                    f"flow_paths: found a path of valve {path.valve}, expected 0 to {len(self.more_valves)}, as there "
-                    f"are {len(self.more_valves)} more_valves"
-                )
-            for end in (path.chamber, path.source):
-                if end not in (*self._places, *(SOURCES if end is path.source else ())):
-                    raise ValueError(
-                        f"flow_paths: found a path to {end!r}, expected one of the cylinder's chambers: "
-                        f"{', '.join(self.cylinder.chambers)}{self._tanks}"
-                    )
-        if self.collapse != "minimum" and not isinstance(self.valve, RotaryValve):
-            raise ValueError(
-                f'collapse: found "{self.collapse}" of a valve without inner volumes, expected "minimum", or a rotary '
-                "valve"
-            )
-        if isinstance(self.valve, RotaryValve):
-            check_ways(self.valve, self.collapse, self.cylinder.chambers)
-        # Raises where the arcs over which a valve is on are not one window.
-        for number in {path.valve for path in self.flow_paths}:
-            (self.valve, *self.more_valves)[number].on_window()
-        fed = {name for ends in self.ends for name in ends}
-        for tank in self.rigid_volumes:
-            if tank.name not in fed:
-                raise ValueError(f"flow_paths: no path leads to the rigid volume {tank.name!r}, expected at least one")
-        for chamber in self.cylinder.chambers:
-            if chamber not in fed:
-                raise ValueError(
-                    f"flow_paths: no path leads to {chamber}, expected at least one; leave out "
-                    f"dead_volume_{chamber[-1]} where that side is open to the ambient"
-                )
-
-    @property
-    def _places(self) -> tuple[str, ...]:
-        """Names of the volumes that flow paths may lead to."""
-        return (*self.cylinder.chambers, *(tank.name for tank in self.rigid_volumes))
-
-    @property
-    def _tanks(self) -> str:
-        names = ", ".join(tank.name for tank in self.rigid_volumes)
-        return f", or of the rigid volumes: {names}" if names else ""
-
-    def _check_names(self) -> None:
-        """Raise unless the rigid volumes have names of their own, which become those of their pressures."""
-        taken = [*SOURCES, *CHAMBERS, "1", "2", "valve", *(inner.name for inner in self.inner_volumes)]
-        for number, tank in enumerate(self.rigid_volumes):
-            if tank.name in taken or not tank.name.isidentifier():
-                raise ValueError(
-                    f"rigid_volumes[{number}]: found the name {tank.name!r}, expected a word of its own, such as 'tank'"
-                )
-            taken.append(tank.name)
-        if self.cylinder.is_absent and not self.rigid_volumes:
-            raise ValueError("rigid_volumes: found none in a machine without a cylinder, expected at least one")
-
-    def _check_medium(self) -> None:
-        gas, cylinder = self.gas, self.cylinder
-        warn_if_cold("gas.temperature", gas.temperature)
-        processes = [
-            *((f"cylinder.polytropic_exponent_{name[-1]}", *cylinder.process(name)) for name in cylinder.chambers),
-            *((f"valve.inner_volumes: {v.name}", v.polytropic_exponent, v.energy_balance) for v in self.inner_volumes),
-            *((f"rigid_volumes: {v.name}", v.polytropic_exponent, v.energy_balance) for v in self.rigid_volumes),
-        ]
-        for name, exponent, balance in processes:
-            check_process(name, exponent, balance, gas)
-        for number, path in enumerate(self.flow_paths):
-            if isinstance(gas, Liquid) and path.laws:
-                raise ValueError(
-                    f"flow_paths: found a law of gases in path {number} of a liquid's machine, expected an area and a "
-                    "discharge coefficient"
-                )
-        if isinstance(gas, Liquid) and self.exhaust_pressure <= gas.vapor_pressure:
-            raise ValueError(
-                f"exhaust_pressure: found {self.exhaust_pressure:g} Pa, not above the liquid's vapor pressure "
-                f"{gas.vapor_pressure:g} Pa: it would cavitate; expected more (pressures are absolute)"
-            )
-        if isinstance(gas, RealGas):
-            gas.expect_inside("supply_pressure", self.supply_pressure)
-            gas.expect_inside("exhaust_pressure", self.exhaust_pressure)
+        check_connections(self)
+        check_names(self)
+        check_medium(self)
+        check_seals(self)
+        check_room(self)
 
     # What a user turns
     # -------------------------------------------------------------------------------------------------
