@@ -68,6 +68,12 @@ def record_of(log: FloatArray) -> Record:
     )
 
 
+def log_of(record: Record) -> FloatArray:
+    """Return the log that holds the intervals of a record, shape (n_intervals, columns)."""
+    polynomials = record.coefficients.reshape(record.starts.size, -1)
+    return np.column_stack([record.starts, record.spans, record.modes, record.pieces, polynomials])
+
+
 @compiled
 def new_log(n_states: int) -> FloatArray:
     """Return an empty log, which grows as it fills."""
