@@ -14,6 +14,7 @@ from .errors import NotStableError as NotStableError
 from .errors import SkippedStepError as SkippedStepError
 from .errors import SolverError as SolverError
 from .errors import StepOverflowError as StepOverflowError
+from .errors import TimeLimitError as TimeLimitError
 from .face.machine_file import load_machine as load_machine
 from .face.plots import plot as plot
 from .models.cycles.amplitude import AmplitudeResponse as AmplitudeResponse
@@ -45,9 +46,12 @@ from .models.nonlinear.balance import Balance as Balance
 from .models.nonlinear.balance import balance as balance
 from .models.nonlinear.failed_point import FailedPoint as FailedPoint
 from .models.nonlinear.floquet import orbit_floquet as orbit_floquet
-from .models.nonlinear.simulation import DormandPrince as DormandPrince
-from .models.nonlinear.simulation import RungeKutta4 as RungeKutta4
-from .models.nonlinear.simulation import nonlinear_orbit as nonlinear_orbit
+from .models.nonlinear.method import DormandPrince as DormandPrince
+from .models.nonlinear.method import RungeKutta4 as RungeKutta4
+from .models.nonlinear.orbits import nonlinear_orbit as nonlinear_orbit
+from .models.nonlinear.period_map import Event as Event
+from .models.nonlinear.period_map import PeriodMap as PeriodMap
+from .models.nonlinear.period_map import Turn as Turn
 from .models.nonlinear.simulation import simulate as simulate
 from .models.nonlinear.stiction_band import StictionBand as StictionBand
 from .models.nonlinear.stiction_band import stiction_band as stiction_band

@@ -146,6 +146,20 @@ class NotSettledError(LtvpneuError):
         self.last_state = last_state
 
 
+class TimeLimitError(LtvpneuError):
+    """A call took longer than its `max_seconds`.
+
+    Attributes
+    ----------
+    seconds : float
+        That it was allowed.
+    """
+
+    def __init__(self, message: str, *, seconds: float) -> None:
+        super().__init__(message)
+        self.seconds = seconds
+
+
 class NotConvergedError(LtvpneuError):
     """A linear model's operating points, or its cycle, were not found.
 

@@ -21,9 +21,11 @@ from ltvpneu.models.cycles.turns import TOLERANCE
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.integrator import OK
+from ltvpneu.models.nonlinear.method import DormandPrince, integration_settings
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
+from ltvpneu.models.nonlinear.periods import integrate_period
+from ltvpneu.models.nonlinear.polynomial import trajectory_of
 from ltvpneu.models.nonlinear.runge_kutta import new_run
-from ltvpneu.models.nonlinear.settle import integrate_period
-from ltvpneu.models.nonlinear.simulation import DormandPrince, integration_settings, nonlinear_orbit, trajectory_of
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic import bridge
 

@@ -44,7 +44,7 @@ from ltvpneu._arrays import FloatArray, not_negative, positive, read_only, whole
 from ltvpneu.design.duty_map import DutyMap
 from ltvpneu.design.feedback import Measurement, simulate_closed_loop
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 
 FIRST_PERIODS, MOST_PERIODS = 32, 1024
 """Periods for which the answer to a step of the duty is followed: twice as many until it has settled."""

@@ -86,6 +86,41 @@ def exponential(matrix: FloatArray, time: float, result: FloatArray, mean: Float
                 result[i, j] = work[i, j]
 
 
+ROUGH_TERMS, ROUGH_NORM = 6, 0.5
+"""Likewise, of a series whose next term is below 1e-6."""
+
+
+@compiled
+def rough_exponential(matrix: FloatArray, result: FloatArray) -> None:
+    """Write exp(M) to six digits, (k, k), in a third of the time."""
+    k = matrix.shape[0]
+    scaled, work, norm, doublings = np.empty((k, k)), np.empty((k, k)), 0.0, 0
+    for i in range(k):
+        row = 0.0
+        for j in range(k):
+            row += abs(matrix[i, j])
+        norm = max(norm, row)
+    while norm > ROUGH_NORM and doublings < 200:
+        norm *= 0.5
+        doublings += 1
+    for i in range(k):
+        for j in range(k):
+            scaled[i, j] = matrix[i, j] / 2.0**doublings
+            result[i, j] = scaled[i, j] / ROUGH_TERMS
+        result[i, i] += 1.0
+    for term in range(ROUGH_TERMS - 1, 0, -1):
+        multiply(scaled, result, work)
+        for i in range(k):
+            for j in range(k):
+                result[i, j] = work[i, j] / term
+            result[i, i] += 1.0
+    for _ in range(doublings):
+        multiply(result, result, work)
+        for i in range(k):
+            for j in range(k):
+                result[i, j] = work[i, j]
+
+
 @compiled
 def sampled(matrices: FloatArray, times: FloatArray, starts: FloatArray) -> FloatArray:
     """Return exp(M_m t_mj) v_m, from shapes (n_steps, k, k), (n_steps, n_times) and (n_steps, k).

@@ -1,5 +1,7 @@
 """Machines drawn at random: single- and double-acting, with and without springs, stops, friction, rods and leakage."""
 
+from dataclasses import replace
+
 import numpy as np
 
 import ltvpneu as lp
@@ -51,3 +53,74 @@ def random_machine(rng: np.random.Generator) -> tuple[lp.Machine, float]:
         flow_paths=tuple(paths),
     )
     return machine, 10 ** rng.uniform(-0.3, 1.5)
+
+
+def random_kind(rng: np.random.Generator) -> tuple[lp.Machine, float]:
+    """Return a machine of any kind and a frequency [Hz]: valves, volumes, processes, media's ratios of pressures."""
+    machine, _ = random_machine(rng)
+    exhaust = machine.exhaust_pressure
+    ratio = 1.0 + 10 ** rng.uniform(-2, 1.28)
+    cylinder, load = machine.cylinder, machine.load
+    push = (ratio - 1) * exhaust * cylinder.piston_area_1
+    scale = push / ((machine.supply_pressure - exhaust) * cylinder.piston_area_1)
+    dry = push * rng.choice([0.0, rng.uniform(0.01, 0.15), rng.uniform(0.3, 0.6)], p=[0.3, 0.5, 0.2])
+    load = replace(
+        load,
+        spring_stiffness=load.spring_stiffness * scale,
+        dry_friction=dry,
+        stiction=dry * rng.uniform(1.0, 2.0),
+        force=push * rng.uniform(-0.2, 0.2),
+    )
+    if rng.random() < 0.25:
+        wall = lp.EnergyBalance(
+            heat_transfer_coefficient=10 ** rng.uniform(0, 2), wall_area=1e-2, wall_temperature=293.15
+        )
+        cylinder = replace(cylinder, energy_balance_1=wall, polytropic_exponent_1=1.0)
+    paths, valve, more, collapse = machine.flow_paths, machine.valve, (), "minimum"
+    if rng.random() < 0.35:
+        opening = paths[0].area
+        ports = tuple(
+            lp.Port(
+                way=way,
+                area=opening * rng.uniform(1.0, 4.0),
+                discharge_coefficient=rng.uniform(0.4, 1.0),
+                window=lp.Window(
+                    start=rng.uniform(0, 1), width=rng.uniform(2.0, 4.0), ramp=rng.choice([0.0, rng.uniform(0.1, 0.9)])
+                ),
+                turns_with_offset=way != "supply",
+            )
+            for way in ("supply", "chamber_1")
+        )
+        collapse = str(rng.choice(["minimum", "in_series", "dynamic"]))
+        volumes = (lp.InnerVolume(volume=cylinder.dead_volume_1 * 10 ** rng.uniform(-2, -0.5)),)
+        valve = lp.RotaryValve(
+            ports=ports, offset_angle=rng.uniform(-1.0, 1.0), inner_volumes=volumes if collapse == "dynamic" else ()
+        )
+        out = lp.FlowPath(source="exhaust", chamber="chamber_1", area=opening * rng.uniform(0.2, 1.0))
+        paths, cylinder = (out,), replace(cylinder, dead_volume_2=None, energy_balance_2=None)
+    else:
+        count = int(rng.integers(1, 4))
+        duty = float(rng.choice([0.0, 1.0, rng.uniform(0.05, 0.95)], p=[0.05, 0.05, 0.9]))
+        valve = lp.OnOffValve(duty=duty, ramp=0.0 if rng.random() < 0.5 else rng.uniform(0.05, 0.5))
+        if count > 1 and 0.0 < duty < 1.0:
+            starts = 2 * np.pi * np.arange(count) / count
+            machine = replace(machine, valve=replace(valve, ramp=0.0))
+            valve = machine.with_pulses([(float(s), float(s + 2 * np.pi * duty / count)) for s in starts]).valve
+        if rng.random() < 0.3:
+            leak = lp.FlowPath(source="exhaust", chamber="chamber_1", area=paths[0].area * 10 ** rng.uniform(-3, -1))
+            paths = (*paths, leak)
+        if rng.random() < 0.2 and len(paths) > 2:
+            more = (lp.OnOffValve(duty=rng.uniform(0.1, 0.9), start=rng.uniform(0.0, 6.0)),)
+            paths = tuple(replace(p, valve=1) if p.chamber == "chamber_2" else p for p in paths)
+    machine = replace(
+        machine,
+        supply_pressure=ratio * exhaust,
+        ambient_pressure=exhaust,
+        cylinder=cylinder,
+        load=load,
+        valve=valve,
+        more_valves=more,
+        flow_paths=paths,
+        collapse=collapse,
+    )
+    return machine, 10 ** rng.uniform(-1, 2.3)

@@ -17,7 +17,7 @@ from ltvpneu.design.pattern.pattern_problem import Asked, Goal, turned_first
 from ltvpneu.design.pattern.slots import count_pulses, with_pattern
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.periodic.orbit import Orbit
 
 MOST_ENUMERATED = 12

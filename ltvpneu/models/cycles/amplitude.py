@@ -15,7 +15,7 @@ from ltvpneu.models.linear.ltv import ltv_model
 from ltvpneu.models.linear.modes import OperatingPoints
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
-from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.periodic.orbit import Orbit
 
 Model = Literal["nonlinear", "ltv", "lti"]

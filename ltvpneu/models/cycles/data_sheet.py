@@ -16,9 +16,10 @@ from ltvpneu.models.machine.dynamics import external_force
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.mass_drawn import mass_drawn
+from ltvpneu.models.nonlinear.method import integration_settings
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
+from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.runge_kutta import new_run
-from ltvpneu.models.nonlinear.settle import integrate_period
-from ltvpneu.models.nonlinear.simulation import integration_settings, nonlinear_orbit
 from ltvpneu.models.nonlinear.stroke import Stroke, stroke
 from ltvpneu.physics.iso6358 import ANR_DENSITY
 from ltvpneu.physics.liquid import Liquid

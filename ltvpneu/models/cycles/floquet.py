@@ -14,7 +14,7 @@ from ltvpneu.models.cycles.turns import STATE_STEP, TOLERANCE, march_beside, slo
 from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.linear.own_cycle import Found
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.nonlinear.simulation import TIGHTER
+from ltvpneu.models.nonlinear.method import TIGHTER
 from ltvpneu.periodic.floquet import Floquet, Maps, floquet, orbit_multipliers
 
 MARGIN = TIGHTER * TOLERANCE / STATE_STEP

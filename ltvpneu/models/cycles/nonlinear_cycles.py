@@ -17,8 +17,9 @@ from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import with_values
 from ltvpneu.models.nonlinear.integrator import Record
 from ltvpneu.models.nonlinear.mass_drawn import mass_drawn
-from ltvpneu.models.nonlinear.polynomial import polynomial_extremes
-from ltvpneu.models.nonlinear.simulation import DormandPrince, nonlinear_orbit, trajectory_of
+from ltvpneu.models.nonlinear.method import DormandPrince
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
+from ltvpneu.models.nonlinear.polynomial import polynomial_extremes, trajectory_of
 from ltvpneu.periodic.orbit import Orbit
 
 

@@ -24,9 +24,9 @@ from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.attractors import Attractors, attractors
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
 from ltvpneu.models.nonlinear.integrator import OK
+from ltvpneu.models.nonlinear.method import integration_settings
+from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.runge_kutta import new_run
-from ltvpneu.models.nonlinear.settle import integrate_period
-from ltvpneu.models.nonlinear.simulation import integration_settings
 from ltvpneu.physics.valve import check_duty
 
 DEPENDS = "depends on the start"

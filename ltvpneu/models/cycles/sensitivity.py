@@ -33,7 +33,9 @@ from ltvpneu.models.linear.plan import new_steps
 from ltvpneu.models.linear.repeat import repeat_march
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import present_value
-from ltvpneu.models.nonlinear.simulation import DormandPrince, nonlinear_orbit, trajectory_of
+from ltvpneu.models.nonlinear.method import DormandPrince
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
+from ltvpneu.models.nonlinear.polynomial import trajectory_of
 from ltvpneu.periodic.orbit import Orbit, Trajectory, signal_index
 
 PARAMETERS = ("duty", "frequency", "supply_pressure", "exhaust_pressure")

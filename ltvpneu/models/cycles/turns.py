@@ -12,12 +12,12 @@ from ltvpneu.models.linear.own_cycle import Question
 from ltvpneu.models.linear.plan import Steps, new_steps
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import pieces_of
-from ltvpneu.models.machine.parameters import STEP, around, present_value, with_values
+from ltvpneu.models.machine.parameters import moved
 from ltvpneu.models.machine.piston import at_stop
-from ltvpneu.models.nonlinear.integrator import OK, Record
+from ltvpneu.models.nonlinear.integrator import OK, Record, joined
+from ltvpneu.models.nonlinear.method import integration_settings
+from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.runge_kutta import new_run
-from ltvpneu.models.nonlinear.settle import integrate_period
-from ltvpneu.models.nonlinear.simulation import integration_settings, joined
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic.orbit import Trajectory
 
@@ -119,18 +119,7 @@ def slopes_along_turn(
         by_state.append((up - down) / (2 * move[j]))
     by_parameter: list[FloatArray] = []
     for name in parameters:
-        (up, down), width = _moved(machine, frequency, name)
+        (up, down), width = moved(machine, frequency, name)
         by_parameter.append((figures(start, *up) - figures(start, *down)) / width)
     empty = np.empty((*by_state[0].shape, 0))
     return Jacobians(np.stack(by_state, axis=-1), np.stack(by_parameter, axis=-1) if by_parameter else empty)
-
-
-def _moved(machine: Machine, frequency: float, name: str) -> tuple[tuple[tuple[Machine, float], ...], float]:
-    """Return machine and frequency with a parameter a little above and below, and the difference."""
-    value = present_value(machine, frequency, name)
-    if name == "frequency":
-        step = STEP * value
-        up, down = frequency + step, frequency - step
-        return ((machine.at(up), up), (machine.at(down), down)), 2 * step
-    high, low = around(name, value)
-    return tuple((with_values(machine, {name: moved}), frequency) for moved in (high, low)), high - low

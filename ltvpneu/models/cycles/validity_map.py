@@ -1,4 +1,4 @@
-"""How far off a linear model is over frequency and duty, by its own estimate."""
+"""How far off a linear model is over frequency and duty: each cycle beside the machine's own orbit there."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from ltvpneu.models.nonlinear.failed_point import FailedPoint
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ValidityMap(Value):
-    """Estimated errors of a linear model over frequency (rows) and duty (columns); nan where it was not found."""
+    """Errors of a linear model over frequency (rows) and duty (columns); nan where it was not found."""
 
     machine: Machine
     frequencies: FloatArray
@@ -32,7 +32,7 @@ class ValidityMap(Value):
     amplitudes: FloatArray
     """The model's amplitudes of the position [m]."""
     errors: FloatArray
-    """Their estimated errors over the true amplitudes [-]; infinite where stiction is estimated to hold the piston."""
+    """Their errors over the machine's amplitudes [-]; infinite where stiction holds the piston."""
     failures: tuple[FailedPoint, ...]
 
 
@@ -45,9 +45,9 @@ def validity_map(
     operating_points: OperatingPoints = "fitted",
     progress: Callable[[int], object] | None = None,
 ) -> ValidityMap:
-    """Return how far a linear model is estimated to be off in amplitude, over duty and frequency.
+    """Return how far a linear model is off in amplitude, over duty and frequency, by its `error_estimate`.
 
-    Parameters are those of `orbit_map` and `ltv_model`. The nonlinear model is not simulated.
+    Parameters are those of `orbit_map` and `ltv_model`.
 
     Examples
     --------

@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu._clock import UNWATCHED, Watch, interruptible
 from ltvpneu._compiled import compiled
 from ltvpneu.models.linear.march import Marched, march_period
 from ltvpneu.models.linear.plan import Plan, Steps
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.nonlinear.integrator import OK
-from ltvpneu.models.nonlinear.settle import MAX_SUBHARMONIC, ROUNDING, is_settled, largest_change
+from ltvpneu.models.nonlinear.periods import MAX_SUBHARMONIC, ROUNDING, is_settled, largest_change
 from ltvpneu.periodic.small import exponential, multiply
 
 WAIT = 2
@@ -45,6 +46,21 @@ class Repeated(NamedTuple):
 
 MANY_PERIODS, FLUTTER = 200, 1e-2
 """Periods after which a change of that share of the tolerance, neither shrinking nor adding up, ends the search."""
+
+
+RESTING, RESTLESS = 16, 1e-3
+"""Periods of rest after which pressures that go to and fro by no more than that, scaled, are taken as they are: over so
+small ranges a fit is not of one piece."""
+
+
+def _is_held(marched: Marched, steps: Steps) -> bool:
+    return bool((steps.modes[: marched.n_steps] == STUCK).all())
+
+
+def _goes_to_and_fro(done: int, history: FloatArray, change: float) -> bool:
+    """Whether a state has gone no further over the last 16 periods than in a few of them."""
+    ring = history.shape[0]
+    return float(np.max(np.abs(history[done % ring] - history[(done - 16) % ring]))) <= 4.0 * change
 
 
 def _rests(marched: Marched, steps: Steps) -> bool:
@@ -151,16 +167,25 @@ class _Leaps:
         return self.move
 
 
-def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, max_periods: int) -> Repeated:
-    """March valve periods from a scaled augmented state until the state repeats, after one or more of them."""
+def repeat_march(
+    start: FloatArray, plan: Plan, steps: Steps, tolerance: float, max_periods: int, watch: Watch = UNWATCHED
+) -> Repeated:
+    """March valve periods from a scaled augmented state until the state repeats, after one or more of them.
+
+    Raises
+    ------
+    TimeLimitError
+    """
     n, ring, own = start.size - 1, MAX_SUBHARMONIC + 1, plan.copy()
     history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
     begin, leaps = start.copy(), _Leaps(start.copy())
     history[0] = begin[:n]
-    done, n_marched, best = 0, 0, math.inf
+    done, n_marched, best, resting = 0, 0, math.inf, 0
     while True:
-        outcome = march_period(begin, own, steps)
+        with interruptible():
+            outcome = march_period(begin, own, steps)
         done, n_marched = done + 1, n_marched + 1
+        watch.tick(f"{n_marched} valve periods of linear steps marched")
         leapt, taken_back = False, leaps.count > 0 and (outcome.status != OK or _rests(outcome, steps))
         following = outcome.state.copy()
         if not taken_back:
@@ -169,6 +194,9 @@ def repeat_march(start: FloatArray, plan: Plan, steps: Steps, tolerance: float, 
             now = outcome.state[:n].copy()
             history[done % ring] = now
             period, best = _repeats_after(now, done, history, changes, tolerance)
+            resting = resting + 1 if _is_held(outcome, steps) else 0
+            if period == 0 and resting > RESTING and best <= RESTLESS and _goes_to_and_fro(done, history, best):
+                period = 1
             if period > 0 and (leaps.count <= 0 or _attracts(_map_over(outcome, steps))):
                 return Repeated(period, n_marched, best, begin, outcome)
             if n_marched >= max_periods:

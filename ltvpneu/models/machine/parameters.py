@@ -85,6 +85,26 @@ def around(name: str, value: float) -> tuple[float, float]:
     return high, low
 
 
+def moved(
+    machine: Machine, frequency: float, name: str
+) -> tuple[tuple[tuple[Machine, float], tuple[Machine, float]], float]:
+    """Return machine and frequency with a parameter a little above and below, and the difference.
+
+    Raises
+    ------
+    ValueError
+        The machine has no number of that name.
+    """
+    value = present_value(machine, frequency, name)
+    if name == "frequency":
+        step = STEP * value
+        up, down = frequency + step, frequency - step
+        return ((machine.at(up), up), (machine.at(down), down)), 2 * step
+    high, low = around(name, value)
+    above, below = (with_values(machine, {name: beside}) for beside in (high, low))
+    return ((above, frequency), (below, frequency)), high - low
+
+
 def is_angle(name: str) -> bool:
     """Whether a parameter is an angle of the valve [rad], or its duty [-]: of the size of one, whatever its value."""
     last = name.rpartition(".")[2]

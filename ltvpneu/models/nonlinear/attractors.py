@@ -17,17 +17,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import ComplexArray, FloatArray, IntArray, finite_array, positive, read_only, whole
+from ltvpneu._clock import Deadline, deadline
 from ltvpneu._values import Value
-from ltvpneu.errors import LtvpneuError, NotSettledError
+from ltvpneu.errors import LtvpneuError, NotSettledError, TimeLimitError
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
 from ltvpneu.models.nonlinear.floquet import orbit_floquet
 from ltvpneu.models.nonlinear.integrator import OK
+from ltvpneu.models.nonlinear.method import integration_settings
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.models.nonlinear.rest import positions_of_rest
 from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.settle import settle
-from ltvpneu.models.nonlinear.simulation import check_state, integration_settings, nonlinear_orbit
+from ltvpneu.models.nonlinear.simulation import check_state
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit
 
@@ -123,6 +126,7 @@ def attractors(  # noqa: PLR0913 - keyword-only, each with its default
     n_spread: int = SPREAD,
     generator: np.random.Generator | None = None,
     max_periods: int = 5000,
+    max_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Attractors:
     """Return every distinct attracting orbit or stiction band of the nonlinear machine that a set of starts leads to.
@@ -142,6 +146,8 @@ def attractors(  # noqa: PLR0913 - keyword-only, each with its default
     max_periods : int
         Valve periods to simulate from the first start before giving up, as of `nonlinear_orbit`; from the others a
         fifth of it.
+    max_seconds : float, optional
+        Time after which to give up [s]; by default never.
     progress : callable, optional
         Called with 1 after each start, such as the `update` of a tqdm bar.
 
@@ -152,6 +158,8 @@ def attractors(  # noqa: PLR0913 - keyword-only, each with its default
 
     Raises
     ------
+    TimeLimitError
+        `max_seconds` are over.
     ValueError
         Frequency or a start out of range.
 
@@ -173,17 +181,21 @@ def attractors(  # noqa: PLR0913 - keyword-only, each with its default
         for i, state in enumerate(states):
             check_state(machine, state, f"starts[{i}]")
     machine = machine.at(frequency)
-    search = _Search(machine, float(frequency))
+    search = _Search(machine, float(frequency), deadline(max_seconds))
     reached = np.full(len(states), -1, dtype=np.int64)
     failures: list[FailedPoint] = []
     most = whole("max_periods", max_periods)
     for i, state in enumerate(states):
         try:
             reached[i] = search.follow(state, most if i == 0 else max(int(LOOSE_PERIODS * most), 1))
+        except TimeLimitError:
+            raise
         except LtvpneuError as error:
             failures.append(FailedPoint(model="nonlinear", frequency=float(frequency), duty=machine.duty, error=error))
         if progress is not None:
             progress(1)
+        if search.end is not None:
+            search.end.check(f"{i + 1} of {len(states)} starts followed")
     return _sorted(search, states, reached, tuple(failures))
 
 
@@ -226,7 +238,8 @@ def stroke_of(machine: Machine) -> tuple[float, float]:
 class _Search:
     """The orbits found so far, and the starts followed to them."""
 
-    def __init__(self, machine: Machine, frequency: float) -> None:
+    def __init__(self, machine: Machine, frequency: float, end: Deadline | None) -> None:
+        self.end = end
         self.machine, self.frequency, self.scales = machine, frequency, np.array(machine.state_scales)
         # Of a short stroke beside large dead volumes the stroke is the length that counts.
         low, high = stroke_of(machine)
@@ -242,13 +255,13 @@ class _Search:
         start = np.array(state)
         if self.orbits:
             # Loosely, where it ends on an orbit that is known.
-            loose = settle(start, self.run, self.scales, LOOSE, max_periods)
+            loose = settle(start, self.run, self.scales, LOOSE, max_periods, self.end)
             if loose.last.status == OK and loose.n_periods > 0:
                 known = self._known(loose.last.state, loose.n_periods)
                 if known >= 0:
                     return known
                 start = loose.last.state
-        orbit = nonlinear_orbit(self.machine, self.frequency, start, max_periods=max_periods)
+        orbit = nonlinear_orbit(self.machine, self.frequency, start, max_periods=max_periods, max_seconds=self.left)
         known = self._known(orbit.initial_state, orbit.n_periods) if orbit.is_isolated else self._band(orbit)
         if known < 0:
             self.orbits.append(orbit)
@@ -256,6 +269,11 @@ class _Search:
             return len(self.orbits) - 1
         self.members[known].append(orbit)
         return known
+
+    @property
+    def left(self) -> float | None:
+        """Time left [s]; none where there is no limit."""
+        return None if self.end is None else self.end.left
 
     def _known(self, state: FloatArray, n_periods: int) -> int:
         """Return the isolated orbit that a state lies on, -1 for none."""
@@ -283,7 +301,7 @@ class _Search:
             return True
         middle = 0.5 * (one.initial_state + other.initial_state)
         middle[1] = 0.0
-        found = settle(middle, self.run, self.scales, LOOSE, BETWEEN)
+        found = settle(middle, self.run, self.scales, LOOSE, BETWEEN, self.end)
         stays = found.last.status == OK and found.n_periods > 0
         return stays and abs(float(found.last.state[0] - middle[0])) / self.scales[0] <= SAME
 

@@ -31,9 +31,9 @@ from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import Pieces, pieces_of, write_areas
 from ltvpneu.models.machine.records import MachineRecord
 from ltvpneu.models.nonlinear.integrator import OK, Record
+from ltvpneu.models.nonlinear.method import integration_settings
+from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.runge_kutta import new_run
-from ltvpneu.models.nonlinear.settle import integrate_period
-from ltvpneu.models.nonlinear.simulation import integration_settings
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic.orbit import Orbit
 

@@ -8,9 +8,12 @@ import math
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.machine.piston import LOWER_STOP, REVERSES, UPPER_STOP, is_possible, margin_at
-from ltvpneu.models.machine.quasi_static import only_source
+from ltvpneu.models.machine.quasi_static import nearest_source, only_source
 from ltvpneu.models.machine.records import MachineRecord, is_liquid, temperature_place
 from ltvpneu.models.nonlinear.runge_kutta import Workspace
+
+HOVERS = 1e-4
+"""Relative distance from a source's pressure within which a pressure is about to reach it anyway [-]."""
 
 
 @inlined
@@ -101,6 +104,43 @@ def first_event(mode: int, coefficients: FloatArray, machine: MachineRecord, wor
             if share < first:
                 first, found = share, kind
     return first, found
+
+
+@compiled
+def first_reversal(coefficients: FloatArray, areas: FloatArray, machine: MachineRecord, work: FloatArray) -> float:
+    """Return the share of the step at which a flow reverses first, 2.0 if none does.
+
+    There its slope is infinite, and the error of a step across is not what its estimate says.
+    """
+    first = 2.0
+    for k in range(machine.n_volumes):
+        for i in range(work.size):
+            work[i] = coefficients[0, i]
+        source, column = nearest_source(k, work, areas, machine)
+        before, low, high = work[2 + k] - source, 0.0, 2.0
+        # A pressure that hovers about a source's is not looked at over and over.
+        if not math.isfinite(source) or abs(before) < HOVERS * source:
+            continue
+        for quarter in range(1, 5):
+            if before * _apart(coefficients, 2 + k, column, source, 0.25 * quarter) < 0.0:
+                low, high = 0.25 * (quarter - 1), 0.25 * quarter
+                break
+        if high <= 1.0:
+            for _ in range(26):
+                middle = 0.5 * (low + high)
+                if before * _apart(coefficients, 2 + k, column, source, middle) < 0.0:
+                    high = middle
+                else:
+                    low = middle
+        first = min(first, high)
+    return first
+
+
+@inlined
+def _apart(coefficients: FloatArray, row: int, column: int, source: float, share: float) -> float:
+    """Return a pressure less a source's, which is another pressure where `column` names one, at a share of the step."""
+    other = _value(coefficients, column, share) if column >= 0 else source
+    return _value(coefficients, row, share) - other
 
 
 @compiled

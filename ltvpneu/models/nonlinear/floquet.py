@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray, read_only
+from ltvpneu._arrays import read_only
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.integrator import Record, log_of
+from ltvpneu.models.nonlinear.orbits import mode_labelled
 from ltvpneu.models.nonlinear.polynomial import PolynomialTrajectory
-from ltvpneu.models.nonlinear.simulation import mode_labelled
 from ltvpneu.models.nonlinear.variation import turn_maps
 from ltvpneu.periodic.floquet import Floquet, Maps, orbit_multipliers
 from ltvpneu.periodic.orbit import Orbit

@@ -7,6 +7,7 @@ are at the end of a step.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,22 +16,28 @@ from ltvpneu._arrays import FloatArray, IntArray
 from ltvpneu._compiled import compiled, inlined
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.openings import PieceRecord
-from ltvpneu.models.nonlinear.events import first_event, land, rest_at_source
+from ltvpneu.models.machine.records import MachineRecord
+from ltvpneu.models.nonlinear.events import first_event, first_reversal, land, rest_at_source
 from ltvpneu.models.nonlinear.runge_kutta import (
     RunRecord,
     Workspace,
     copy,
     first_length,
     is_adaptive,
+    is_tight,
     start_rate,
     try_step,
 )
 
-OK, TOO_MANY_STEPS, STEP_TOO_SMALL, LEFT_DOMAIN = 0, 1, 2, 3
-"""How an integration ended."""
+OK, TOO_MANY_STEPS, STEP_TOO_SMALL, LEFT_DOMAIN, PAUSED = range(5)
+"""How an integration ended; one that paused at the end of its budget goes on when it is called again."""
 START, SPAN, MODE, PIECE_NUMBER, POLYNOMIAL = range(5)
 """Columns of a log: start [s] and span [s] of an interval, mode of the piston, number of the piece, and the first of
 the interpolant's coefficients, ascending powers of the time since the start, all states for each."""
+
+
+NEXT_TO = 0.01
+"""Share of a step next to its ends where it is not cut at the reversal of a flow."""
 
 
 class Record(NamedTuple):
@@ -68,10 +75,27 @@ def record_of(log: FloatArray) -> Record:
     )
 
 
+def joined(records: Sequence[Record], period: float) -> Record:
+    """Return the records of consecutive periods as one."""
+    if len(records) == 1:
+        return records[0]
+    return Record(
+        starts=np.concatenate([number * period + record.starts for number, record in enumerate(records)]),
+        spans=np.concatenate([record.spans for record in records]),
+        modes=np.concatenate([record.modes for record in records]),
+        # Numbered on through all periods: with one piece a turn, a new period is the only sign of it.
+        pieces=np.concatenate(
+            [number * (record.pieces[-1] + 1) + record.pieces for number, record in enumerate(records)]
+        ),
+        coefficients=np.concatenate([record.coefficients for record in records]),
+    )
+
+
 def log_of(record: Record) -> FloatArray:
     """Return the log that holds the intervals of a record, shape (n_intervals, columns)."""
     polynomials = record.coefficients.reshape(record.starts.size, -1)
-    return np.column_stack([record.starts, record.spans, record.modes, record.pieces, polynomials])
+    rows = [record.starts, record.spans, record.modes.astype(np.float64), record.pieces.astype(np.float64), polynomials]
+    return np.column_stack(rows)
 
 
 @compiled
@@ -106,6 +130,7 @@ def _logged(share: float, h: float, run: RunRecord, space: Workspace, log: Float
 def _step(length: float, piece: PieceRecord, run: RunRecord, space: Workspace) -> float:
     """Count one more step, take it and return its scaled error; `space` is left with its interpolant."""
     run.progress.steps += 1
+    run.progress.budget -= 1
     for i in range(space.state.size):
         space.coefficients[0, i] = space.state[i]
     return try_step(length, piece, run, space)
@@ -118,6 +143,13 @@ def _go_on(run: RunRecord, space: Workspace) -> bool:
         space.state[i] = space.new[i]
         space.stages[0, i] = space.stages[6, i]
     return run.progress.mode == STUCK and rest_at_source(run.machine, space)
+
+
+@inlined
+def _cut(tight: bool, machine: MachineRecord, space: Workspace) -> float:
+    """Return the share at which a step has to be cut, as a flow reverses there; one where it has not."""
+    reversal = first_reversal(space.coefficients, space.areas, machine, space.rate) if tight else 1.0
+    return reversal if NEXT_TO < reversal < 1.0 - NEXT_TO else 1.0
 
 
 @compiled
@@ -140,13 +172,13 @@ def advance(end: float, piece: PieceRecord, run: RunRecord, space: Workspace, lo
     ndarray
         The log, or a longer one.
     """
-    progress, machine, adaptive = run.progress, run.machine, is_adaptive(run)
+    progress, machine, adaptive, tight = run.progress, run.machine, is_adaptive(run), is_tight(run)
     progress.kind = -1
     # A length of zero asks for a first step; only the rate at its start can tell how long.
     h, fresh = 0.0, True
     while progress.time < end and progress.kind < 0 and progress.status == OK:
-        if progress.steps >= run.settings.max_steps:
-            progress.status = TOO_MANY_STEPS
+        if progress.steps >= run.settings.max_steps or progress.budget <= 0:
+            progress.status = PAUSED if progress.budget <= 0 else TOO_MANY_STEPS
             break
         if fresh and not start_rate(piece, run, space):
             progress.status = LEFT_DOMAIN
@@ -161,6 +193,10 @@ def advance(end: float, piece: PieceRecord, run: RunRecord, space: Workspace, lo
             h *= max(0.2, 0.9 * error**-0.2)
             if h < 1e-15 * run.period or not adaptive:
                 progress.status = LEFT_DOMAIN if math.isinf(error) else STEP_TOO_SMALL
+            continue
+        cut = _cut(tight and progress.mode != STUCK, machine, space)
+        if cut < 1.0:
+            h *= cut
             continue
         share, kind = first_event(progress.mode, space.coefficients, machine, space.rate)
         share = min(share, 1.0) if adaptive else 1.0

@@ -11,6 +11,7 @@ from scipy.interpolate import PPoly
 from ltvpneu._arrays import FloatArray
 from ltvpneu._compiled import compiled
 from ltvpneu._values import Value
+from ltvpneu.models.nonlinear.integrator import Record
 
 
 @final
@@ -45,6 +46,11 @@ class PolynomialTrajectory(Value):
     def extremes(self, signal: int) -> tuple[float, float]:
         """Return the least and the greatest value of a state: at interval ends or where the derivative vanishes."""
         return polynomial_extremes(self.coefficients[:, :, signal].copy(), self.spans)
+
+
+def trajectory_of(record: Record) -> PolynomialTrajectory:
+    """Return what a record holds as a trajectory."""
+    return PolynomialTrajectory(starts=record.starts, spans=record.spans, coefficients=record.coefficients)
 
 
 @compiled

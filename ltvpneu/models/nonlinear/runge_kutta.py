@@ -57,6 +57,20 @@ class Progress:
     """Kind of the event that it stopped at; below zero where it reached the end."""
     n_logged: int
     """Intervals logged."""
+    budget: int
+    """Steps that may be taken before the kernel returns, so that a caller can stop it; it goes on when called again."""
+    ended: int
+    """Why a march of periods ended; zero where it has not."""
+    done: int
+    """Periods since its start."""
+    simulated: int
+    """Periods all told."""
+    sequence: int
+    """Stands for the last period's sequence of events."""
+    repeats: int
+    """Periods after which the state repeats."""
+    change: float
+    """Scaled change over so many periods, or the least over any number [-]."""
 
 
 class RunRecord:
@@ -80,6 +94,10 @@ class FixedRun:
     progress: Progress
 
 
+UNBOUNDED = 2**62
+"""A budget of steps without an end."""
+
+
 class Run(NamedTuple):
     """What is integrated, and how."""
 
@@ -93,6 +111,7 @@ def new_run(machine: MachineRecord, settings: Settings, pieces: Pieces) -> Run:
     record: Any = machine
     records = np.zeros(1, layout(RunRecord, machine=record.dtype, settings=layout(type(settings))))
     records["machine"], records["period"] = record, pieces["end"][-1]
+    records["progress"]["budget"] = UNBOUNDED
     for name, value in settings._asdict().items():
         target = records["settings"][name]
         target[(0, *map(slice, np.shape(value)))] = value
@@ -206,12 +225,24 @@ def _controls_steps(run: RunRecord) -> bool:
     return True
 
 
+TIGHT = 1e-9
+"""Relative tolerance below which steps end where a flow reverses [-]."""
+
+
 def _keeps_steps(run: FixedRun) -> bool:
     return False
 
 
 is_adaptive = by_field("settings.longest", "run", _keeps_steps, _controls_steps)
 """Whether the run's method chooses its steps by their error."""
+
+
+def _is_tight(run: RunRecord) -> bool:
+    return run.settings.rtol < TIGHT
+
+
+is_tight = by_field("settings.longest", "run", _keeps_steps, _is_tight)
+"""Whether steps are to end where a pressure passes that of a source."""
 
 
 @compiled

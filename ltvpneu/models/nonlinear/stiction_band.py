@@ -18,8 +18,8 @@ from ltvpneu._values import Value
 from ltvpneu.models.machine.dynamics import external_force
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.piston import hold_of
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.models.nonlinear.rest import positions_of_rest
-from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
 
 SAMPLES = 400
 

@@ -15,9 +15,10 @@ from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.machine.quasi_static import settle_volumes
 from ltvpneu.models.nonlinear.integrator import OK, Record
 from ltvpneu.models.nonlinear.mass_drawn import mass_drawn
+from ltvpneu.models.nonlinear.method import integration_settings
+from ltvpneu.models.nonlinear.periods import integrate_period
+from ltvpneu.models.nonlinear.polynomial import trajectory_of
 from ltvpneu.models.nonlinear.runge_kutta import new_run
-from ltvpneu.models.nonlinear.settle import integrate_period
-from ltvpneu.models.nonlinear.simulation import integration_settings, trajectory_of
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic import bridge
 from ltvpneu.physics.on_off_valve import OnOffValve

