@@ -14,12 +14,12 @@ from ltvpneu.face.machine_text import bundled_machines, machine_text, parsed
 from ltvpneu.models.linear.modes import MODES
 
 DRIVE_COMMANDS = ("drive", "simulate", "new", "machines", "schema", "keys")
-BAD_INPUT = 2
-"""Exit code; 0 and 1 are those of the commands."""
+BAD_INPUT, STOPPED = 2, 130
+"""Exit codes; 0 and 1 are those of the commands."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code: 0 done or stable, 1 not stable, 2 bad input."""
+    """Run the command line; return 0 if done or stable, 1 if not stable, 2 for bad input, 130 if stopped by Ctrl-C."""
     options = _parser().parse_args(arguments)
     machine: str = getattr(options, "machine", "")
 
@@ -39,6 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (LtvpneuError, ValueError, TypeError, OSError, ImportError) as error:
         print(f"ltvpneu {options.command}: error: {_located(str(error), machine)}", file=sys.stderr)
         return BAD_INPUT
+    except KeyboardInterrupt:
+        print(f"\nltvpneu {options.command}: stopped", file=sys.stderr)
+        return STOPPED
 
 
 def _located(message: str, machine: str) -> str:

@@ -22,7 +22,7 @@ from ltvpneu.models.linear.ltv import OperatingPoints, ltv_model
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import attractors
 from ltvpneu.models.nonlinear.floquet import orbit_floquet
-from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.proportional import ProportionalValve
 

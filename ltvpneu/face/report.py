@@ -272,8 +272,12 @@ def cycle_table(cases: Sequence[Case]) -> str:
     header = ["model", "amplitude [mm]", "error", "estimated", "mean [mm]", "error [mm]", "estimated [mm]"]
     names = [f"{name.replace('_', ' ')} [bar abs]" for name in pressures]
     text = table([*header, *names, "remark"], rows)
-    doubts = [estimate for case in cases for estimate in case.estimates.values() if not estimate.is_reliable]
-    notes = ["  (? The model is too far off for an estimate of its error: a first guess.)"] if doubts else []
+    notes = [
+        f"  (? {case.frequency:g} Hz {LABELS[name]}: {estimate.verdict})"
+        for case in cases
+        for name, estimate in case.estimates.items()
+        if not estimate.is_reliable
+    ]
     return "\n".join([text, *notes, *failure_lines(cases)])
 
 

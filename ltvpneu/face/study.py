@@ -23,7 +23,7 @@ from ltvpneu.models.linear.staircase import default_steps
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import Attractors, attractors
 from ltvpneu.models.nonlinear.floquet import orbit_floquet
-from ltvpneu.models.nonlinear.simulation import nonlinear_orbit
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.models.nonlinear.stiction_band import StictionBand, stiction_band
 from ltvpneu.periodic.floquet import Floquet
 from ltvpneu.periodic.orbit import Orbit

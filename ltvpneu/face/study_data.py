@@ -116,6 +116,7 @@ def estimate_data(estimate: ErrorEstimate) -> dict[str, Any]:
     """Return the estimated errors of a linear model's cycle: its value less the nonlinear machine's."""
     return {
         "is_reliable": estimate.is_reliable,
+        "verdict": estimate.verdict,
         "signals": {
             name: {
                 "amplitude": estimate.amplitude(name),

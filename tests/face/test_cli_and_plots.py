@@ -425,3 +425,12 @@ def test_remarks_on_pressures_do_not_fall_on_temperatures(table_1):
 def test_an_empty_stiction_band_says_none(table_1):
     assert "none" in repr(lp.stiction_band(table_1, 2.0))
     assert "m>" in repr(lp.stiction_band(table_1.with_duty(0.7), 20.0))
+
+
+def test_ctrl_c_ends_a_command_with_a_word_and_its_exit_code(monkeypatch, capsys):
+    def interrupted(_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ltvpneu.face.commands.stability", interrupted)
+    assert main(["stability", "kunt_singh_1990", "--frequency", "4"]) == 130
+    assert "ltvpneu stability: stopped" in capsys.readouterr().err

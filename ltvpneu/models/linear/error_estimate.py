@@ -1,39 +1,38 @@
-"""How far a linear model's amplitude, mean and extremes are from the nonlinear machine's, without simulating that."""
+"""How far a linear model's amplitude, mean and extremes are from the nonlinear machine's, and whether it has the cycle.
+
+The machine is followed from the cycle's own state to the orbit there: a few periods, which take about as long as a
+model of two steps does. They confirm the cycle or refute it.
+"""
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import final
 
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, read_only
 from ltvpneu._values import Value
-from ltvpneu.models.linear.defect import Given, corrected
+from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.openings import step_means
+from ltvpneu.models.nonlinear.method import DormandPrince
+from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
+from ltvpneu.models.nonlinear.period_map import PeriodMap
 from ltvpneu.periodic.orbit import Orbit, signal_index
-from ltvpneu.physics.liquid import Liquid
 
-CELLS = 256
-"""Cells of the fine staircase on which the defect is taken, in each valve period."""
-MOST_CORRECTIONS = 4
-MOST_PRESSURE = 4.0
-"""Highest pressure of a liquid that operating points are kept at, over that of the supply [-]."""
-LEAST_TEMPERATURE, MOST_TEMPERATURE = 0.3, 3.0
-"""Range that temperatures of operating points are kept in, over that of the surroundings [-]."""
-HELD = 0.05
-"""How far from the cycle its operating points may be held for an estimate, in the time mean, over the states' scales
-[-]."""
-SETTLED, NEGLIGIBLE = 0.2, 2e-3
-"""The defect is taken again, of the sum, until that moves the estimate by less than this share of it, or less than this
-share of the amplitude."""
+MOST_PERIODS = 500
+"""Valve periods in which the machine has to settle."""
+MOVES = 1e-4
+"""Scaled travel from which on a piston moves [-]."""
+LOOSE, LOOSE_TOLERANCE = DormandPrince(rtol=1e-5), 1e-3
+"""How other starts are followed: all that is asked is whether they lead elsewhere."""
+SAME = 3e-3
+"""Scaled distance within which two orbits are one [-]."""
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ErrorEstimate(Value):
-    """Estimated errors of a linear model's cycle: the model's value less the nonlinear machine's, each (n_states,).
+    """Errors of a linear model's cycle: the model's value less that of the machine beside it, each (n_states,).
 
     Examples
     --------
@@ -50,11 +49,14 @@ class ErrorEstimate(Value):
     maxima: FloatArray
     means: FloatArray
     is_reliable: bool
-    """Whether the corrected cycle was found to repeat, where the nonlinear equations hold; if not, the figures are only
-    a first guess."""
+    """Whether the machine has this cycle: it settles near it, after as many valve periods, moving or at rest as it
+    does. If not, the figures are those of the machine's turn from the cycle's state."""
+    verdict: str
+    """What the machine does from the cycle's state: why it is reliable or not, and what else there is."""
 
     def __repr__(self) -> str:
-        return f"<ErrorEstimate of {self.orbit.name}: {self.amplitude(0):+.3g} of {self.orbit.amplitude(0):.6g}>"
+        errs = f"{self.amplitude(0):+.3g} of {self.orbit.amplitude(0):.6g}"
+        return f"<ErrorEstimate of {self.orbit.name}: {errs}, {self.verdict}>"
 
     def amplitude(self, state: str | int) -> float:
         """Return the error of half the peak-to-peak, in the state's unit."""
@@ -74,114 +76,117 @@ class ErrorEstimate(Value):
         return float(self.maxima[signal_index(self.states, state)])
 
     def relative_amplitude(self, state: str | int) -> float:
-        """Return the error of the amplitude over the estimated true amplitude [-]; infinite if that is zero."""
+        """Return the error of the amplitude over the machine's [-]; infinite if that is zero."""
         error = self.amplitude(state)
         true = self.orbit.amplitude(state) - error
         return error / true if true > 0 else float("inf")
 
 
-@final
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Corrector(Value):
-    machine: Machine
-    frequency: float
-    orbit: Orbit
-    distance: float
-
-    @cached_property
-    def cells(self) -> FloatArray:
-        """Cell boundaries over all the orbit's valve periods, as shares of one."""
-        orbit, table = self.orbit, self.machine.openings
-        own = orbit.step_times * self.frequency
-        switches = np.concatenate([number + table.fractions[:-1] for number in range(orbit.n_periods)])
-        bounds = np.union1d(own, switches)
-        # The same instant twice, but for rounding, is no cell.
-        bounds = bounds[np.append(np.diff(bounds) > 1e-9, True)]
-        count = math.ceil(CELLS * orbit.n_periods / (bounds.size - 1))
-        # Denser at the starts of steps, where what switched has its effect.
-        shares = (np.arange(count) / count) ** 2 if count > 1 else np.zeros(1)
-        return np.append((bounds[:-1, None] + np.diff(bounds)[:, None] * shares).ravel(), bounds[-1])
-
-    def given(self, points: FloatArray) -> Given:
-        machine, cells = self.machine, self.cells
-        once = np.mod((cells[:-1] + cells[1:]) / 2, 1.0)
-        areas = np.empty((once.size, 2, len(machine.ends)))
-        for number in range(self.orbit.n_periods):
-            mine = (cells[:-1] >= number - 1e-12) & (cells[:-1] < number + 1 - 1e-12)
-            ends = np.clip(np.append(cells[:-1][mine], number + 1.0) - number, 0.0, 1.0)
-            areas[mine] = step_means(machine.openings, np.array(ends))
-        return Given(
-            times=cells / self.frequency,
-            points=points,
-            areas=areas,
-            scales=np.array(machine.state_scales),
-            distance=float(self.distance),
-        )
-
-    def points(self, orbit: Orbit) -> FloatArray:
-        """Means of the cycle over the cells by Simpson's rule, kept where the equations hold, (n_cells, n)."""
-        n = len(self.machine.states)
-        times = self.cells / self.frequency
-        widths = np.diff(times)
-        # Just inside the cells: outputs may jump at boundaries, states do not.
-        values = [orbit.trajectory.at(times[:-1] + share * widths)[:n].T for share in (0.0, 0.5, 1.0 - 1e-12)]
-        return self.inside((values[0] + 4 * values[1] + values[2]) / 6)
-
-    def holds(self, points: FloatArray) -> bool:
-        """Return whether the equations hold at points (n_cells, n), to within what the estimate is right to."""
-        widths = np.diff(self.cells)
-        held = widths / widths.sum() @ np.abs(self.inside(points) - points)
-        return bool((held <= HELD * self.machine.state_scales).all())
-
-    def inside(self, points: FloatArray) -> FloatArray:
-        """Return operating points kept between the sources' pressures, and where volumes are well above zero."""
-        machine = self.machine
-        held = points.copy()
-        count = 2 + machine.n_volumes
-        lowest, highest = 0.95 * machine.exhaust_pressure, 1.05 * machine.supply_pressure
-        if isinstance(machine.gas, Liquid):
-            # A moving mass drives a liquid far past its sources' pressures.
-            lowest, highest = 2 * machine.gas.vapor_pressure, MOST_PRESSURE * machine.supply_pressure
-        held[:, 2:count] = np.clip(held[:, 2:count], lowest, highest)
-        temperature = machine.gas.temperature
-        held[:, count:] = np.clip(held[:, count:], LEAST_TEMPERATURE * temperature, MOST_TEMPERATURE * temperature)
-        for V, A, *_ in machine.volume_fields[: len(machine.cylinder.chambers)]:
-            edge = -0.9 * V / A
-            held[:, 0] = np.maximum(held[:, 0], edge) if A > 0 else np.minimum(held[:, 0], edge)
-        return held
+def error_estimate(machine: Machine, frequency: float, orbit: Orbit) -> ErrorEstimate:
+    """Return the errors of a linear model's cycle beside the machine's own orbit there."""
+    start, scales = _inside(machine, orbit.initial_state), machine.state_scales
+    try:
+        found = nonlinear_orbit(machine, frequency, start, max_periods=MOST_PERIODS)
+    except LtvpneuError as error:
+        return _of_one_turn(machine, frequency, orbit, start, error)
+    if not found.is_isolated:
+        found = _as_from_rest(machine, frequency, found)
+    n = len(machine.states)
+    reached = np.array([[found.minimum(i), found.maximum(i), found.mean(i)] for i in range(n)])
+    refuted = _refuted(orbit, found, float(scales[0]))
+    verdict = f"refuted: {refuted}" if refuted else _confirmed(machine, frequency, found)
+    return _estimate(orbit, reached, not refuted, verdict)
 
 
-def error_estimate(machine: Machine, frequency: float, orbit: Orbit, distance: float) -> ErrorEstimate:
-    """Return the estimated errors of a linear model's cycle, from its defect in the nonlinear equations.
+def _refuted(orbit: Orbit, found: Orbit, length: float) -> str:
+    """Return why the machine's orbit is no counterpart of a model's cycle; nothing if it is one."""
+    if orbit.n_periods != found.n_periods:
+        return f"the model repeats after {orbit.n_periods} valve periods, the machine after {found.n_periods}"
+    moves = [2 * one.amplitude(0) > MOVES * length for one in (orbit, found)]
+    if moves[0] and not moves[1]:
+        return f"the piston moves in the model, in the machine it comes to rest ({found.rest or 'as good as at rest'})"
+    if moves[1] and not moves[0]:
+        return "the piston rests in the model, in the machine it moves"
+    return ""
 
-    `distance` is as of `ltv_model`; `orbit` the cycle.
-    """
-    n, scales = len(machine.states), machine.state_scales
-    corrector = _Corrector(machine=machine, frequency=frequency, orbit=orbit, distance=distance)
-    start = np.append(orbit.initial_state / scales, 1.0)
-    points = corrector.points(orbit)
-    first = before = np.array([orbit.amplitude(0), orbit.mean(0)]) / scales[0]
-    best, change = corrected(start, corrector.given(points), machine.record, 1e-7, 400)
-    is_reliable = best.is_finite and change < 1e-4
-    for _ in range(MOST_CORRECTIONS - 1):
-        after = np.array([(best.highs[0] - best.lows[0]) / 2, best.sums[0] / orbit.period])
-        moved, error = np.abs(after - before).max(), np.abs(after - first).max()
-        if not is_reliable or moved < max(SETTLED * error, NEGLIGIBLE * after[0]):
-            break
-        before, start, points = after, best.state, corrector.inside(best.means)
-        following, change = corrected(start, corrector.given(points), machine.record, 1e-7, 400)
-        is_reliable = following.is_finite and change < 1e-4
-        best = following if is_reliable else best
-    # Held inside at the end, the points are not those of the cycle found, and its error is another.
-    is_reliable = is_reliable and corrector.holds(best.means)
+
+def _confirmed(machine: Machine, frequency: float, found: Orbit) -> str:
+    """Return what is to be said of a cycle that the machine has: what else it has."""
+    if not found.is_isolated:
+        return f"confirmed, one of a band: {found.rest} at {1e3 * found.mean(0):.4g} mm"
+    scales = machine.state_scales
+    for place, start in _other_starts(machine):
+        try:
+            other = nonlinear_orbit(
+                machine, frequency, start, method=LOOSE, max_periods=MOST_PERIODS, tolerance=LOOSE_TOLERANCE
+            )
+        except LtvpneuError:
+            return f"confirmed, but {place} the machine does not settle soon"
+        apart = np.min(np.max(np.abs(found.branches - other.initial_state) / scales, axis=1))
+        if not other.is_isolated or other.n_periods != found.n_periods or apart > SAME:
+            reached = other.rest or f"an amplitude of {1e3 * other.amplitude(0):.4g} mm"
+            where = f"{reached} at {1e3 * other.mean(0):.4g} mm"
+            return f"confirmed, one of several: {place} the machine settles on {where}"
+    return "confirmed"
+
+
+def _other_starts(machine: Machine) -> list[tuple[str, FloatArray]]:
+    """Return where else to look for orbits: at rest, and at rest on the stops."""
+    rest, found = np.array(machine.rest_state), list[tuple[str, FloatArray]]()
+    if machine.has_dry_friction or machine.has_stops:
+        found.append(("from rest", rest))
+    for stop in (machine.cylinder.lower_stop, machine.cylinder.upper_stop):
+        if math.isfinite(stop) and machine.load.spring_stiffness == 0.0:
+            found.append((f"from its stop at {1e3 * stop:g} mm", np.array([stop, *rest[1:]])))
+    return found
+
+
+def _as_from_rest(machine: Machine, frequency: float, found: Orbit) -> Orbit:
+    """Return the place of a band that the machine comes to from rest, as models are marched; else the one given."""
+    try:
+        other = nonlinear_orbit(machine, frequency, max_periods=MOST_PERIODS)
+    except LtvpneuError:
+        return found
+    return found if other.is_isolated else other
+
+
+def _of_one_turn(
+    machine: Machine, frequency: float, orbit: Orbit, start: FloatArray, error: LtvpneuError
+) -> ErrorEstimate:
+    """Return the errors beside one turn of a machine that settles nowhere from there."""
+    n, reached = len(machine.states), np.full((len(machine.states), 3), math.nan)
+    try:
+        turn = PeriodMap(machine=machine, frequency=frequency, n_periods=orbit.n_periods).turn(start)
+    except LtvpneuError:
+        return _estimate(orbit, reached, False, f"refuted: {error}")
+    extremes = [turn.trajectory.extremes(i) for i in range(n)]
+    reached = np.column_stack([np.array(extremes), turn.trajectory.means()])
+    return _estimate(orbit, reached, False, f"refuted: {error}")
+
+
+def _estimate(orbit: Orbit, reached: FloatArray, is_reliable: bool, verdict: str) -> ErrorEstimate:
+    n = len(reached)
     own = np.array([[orbit.minimum(i), orbit.maximum(i), orbit.mean(i)] for i in range(n)])
-    found = np.array([best.lows, best.highs, best.sums / orbit.period]).T * scales[:, None]
-    errors = own - found
+    errors = own - reached
     return ErrorEstimate(
-        states=machine.states,
+        states=orbit.states,
         orbit=orbit,
-        minima=read_only(errors[:, 0]),
-        maxima=read_only(errors[:, 1]),
-        means=read_only(errors[:, 2]),
-        is_reliable=bool(is_reliable),
+        minima=read_only(errors[:, 0].copy()),
+        maxima=read_only(errors[:, 1].copy()),
+        means=read_only(errors[:, 2].copy()),
+        is_reliable=is_reliable,
+        verdict=verdict,
     )
+
+
+def _inside(machine: Machine, state: FloatArray) -> FloatArray:
+    """Return a state where the machine's equations hold: between the stops, at pressures and volumes above zero."""
+    held, cylinder, count = np.array(state), machine.cylinder, machine.n_volumes
+    held[0] = min(max(held[0], cylinder.lower_stop), cylinder.upper_stop)
+    for V, A, *_ in machine.volume_fields[: len(cylinder.chambers)]:
+        edge = -0.9 * V / A if A else math.inf
+        held[0] = max(held[0], edge) if A > 0 else min(held[0], edge)
+    lowest = 0.5 * min(machine.exhaust_pressure, machine.supply_pressure)
+    held[2 : 2 + count] = np.clip(held[2 : 2 + count], lowest, 4.0 * machine.supply_pressure)
+    held[2 + count :] = np.clip(held[2 + count :], 0.3 * machine.gas.temperature, 3.0 * machine.gas.temperature)
+    return held

@@ -1,11 +1,13 @@
 """LTV model, eq. (8) on the staircase (10): a linear system on each step, about an operating point of its own."""
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ltvpneu._arrays import FloatArray, finite_array, not_negative, positive, whole
+from ltvpneu._clock import Watch, deadline
 from ltvpneu.models.linear.linearize import Tangent, linearize_steps
 from ltvpneu.models.linear.lti import lti_model_of_turn
 from ltvpneu.models.linear.model import LtvModel, assemble, warn_outside
@@ -34,6 +36,8 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     spacing: Spacing = "adaptive",
     rtol: float | None = None,
     hold: Hold = "zero",
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> LtvModel:
     """Return the linear time-varying model of a machine.
 
@@ -75,6 +79,11 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
         steps (in means and extremes of pressures, and with two restrictions in series, of second order too). Then as
         many steps are needed as the openings have linear pieces. Not for "fitted" and "self-consistent", whose
         operating points leave an error of second order anyway.
+    max_seconds : float, optional
+        Time after which to give up the search for the cycle of a "fitted" or "self-consistent" model [s]; by default
+        never.
+    progress : callable, optional
+        Called with 1 after each valve period of that search, such as the `update` of a tqdm bar.
 
     Returns
     -------
@@ -89,6 +98,8 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
         Arguments out of range or at odds, no spring where a quasi-static position is needed.
     NotConvergedError
         An operating point or the model's cycle was not found, or `rtol` not reached; carries the residual.
+    TimeLimitError
+        `max_seconds` are over.
 
     Examples
     --------
@@ -122,7 +133,8 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
         question = Question(
             machine=machine, frequency=float(frequency), mode=operating_points, distance=float(least_distance)
         )
-        return _following_its_cycle(question, n_steps, spacing, rtol)
+        watch = Watch(end=deadline(max_seconds), progress=progress)
+        return _following_its_cycle(question, n_steps, spacing, rtol, watch)
     if rtol is not None:
         raise ValueError(
             f"rtol: found {rtol:g} with operating points {operating_points!r}, whose error more steps do not mend; "
@@ -163,16 +175,17 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     return warn_outside(model, mean_balance)
 
 
-def _following_its_cycle(question: Question, n_steps: int | None, spacing: Spacing, rtol: float | None) -> LtvModel:
+def _following_its_cycle(
+    question: Question, n_steps: int | None, spacing: Spacing, rtol: float | None, watch: Watch
+) -> LtvModel:
     if rtol is None:
-        return own_cycle_model(
-            question, whole("n_steps", default_steps(question.machine) if n_steps is None else n_steps), spacing
-        )
+        n_steps = whole("n_steps", default_steps(question.machine) if n_steps is None else n_steps)
+        return own_cycle_model(question, n_steps, spacing, watch)
     if n_steps is not None:
         raise ValueError(f"n_steps, rtol: found {n_steps} and {rtol:g}, expected one of them")
     if positive("rtol", rtol) >= 1:
         raise ValueError(f"rtol: found {rtol:g}, expected a relative error below 1, such as 0.01")
-    return model_to_tolerance(question, rtol, spacing)
+    return model_to_tolerance(question, rtol, spacing, watch)
 
 
 def _with_ramps(

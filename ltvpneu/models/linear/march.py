@@ -32,6 +32,8 @@ from ltvpneu.physics.properties import LIQUID
 
 TOO_MANY_EVENTS, NOT_CONVERGED = 11, 12
 """How a march ended, beside the integrator's ways."""
+MOST_STEPS = 400_000
+"""Steps of the integrator that the march over a period may take."""
 MAX_HALVINGS = 20
 LEAST_SHARE = 0.01
 """Share of a dead volume, and of the supply pressure, below which a linear step has left the equations' domain [-]."""
@@ -356,6 +358,7 @@ def march_period(start: FloatArray, plan: Plan, steps: Steps) -> Marched:
     z, state = np.empty(n), start
     _physical(state, scales, z)
     space, log = new_workspace(z, machine.n_paths), new_log(n)
+    plan.records[0].run.progress.budget = MOST_STEPS
     row, worst, mode, time = 0, 0.0, mode_of(z, machine), 0.0
     for cell in range(plan.areas.shape[0]):
         piece = int(plan.first_pieces[cell])

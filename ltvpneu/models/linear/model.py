@@ -82,16 +82,16 @@ class LtvModel(Value):
 
     @cached_property
     def error_estimate(self) -> ErrorEstimate:
-        """How far the model's amplitude, mean and extremes are from the nonlinear machine's.
+        """How far the model's amplitude, mean and extremes are off, and whether the nonlinear machine has its cycle.
 
-        From the defect of its cycle in the nonlinear equations; the nonlinear model is not simulated.
+        The machine is followed from the cycle's state to its own orbit there.
 
         Raises
         ------
         NoOrbitError, NonUniqueOrbitError
             The model has no cycle.
         """
-        return error_estimate(self.machine, self.frequency, self.orbit, self.least_distance)
+        return error_estimate(self.machine, self.frequency, self.orbit)
 
     @cached_property
     def beyond_stops(self) -> float:

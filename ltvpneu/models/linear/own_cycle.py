@@ -15,11 +15,13 @@ from typing import Literal, final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, IntArray
+from ltvpneu._clock import UNWATCHED, Watch
 from ltvpneu._values import Value
 from ltvpneu.errors import NotConvergedError
 from ltvpneu.models.linear.cuts import cuts_by_error, even_cuts
 from ltvpneu.models.linear.linearize import Linearization
-from ltvpneu.models.linear.march import NOT_CONVERGED, Marched, march_period
+from ltvpneu.models.linear.march import MAX_EVENTS, NOT_CONVERGED, TOO_MANY_EVENTS, Marched, march_period
+from ltvpneu.models.linear.march import MOST_STEPS as MOST_STEPS_IN_PERIOD
 from ltvpneu.models.linear.model import HeldBack, LtvModel, assemble
 from ltvpneu.models.linear.plan import Plan, Steps, new_plan, new_steps, together
 from ltvpneu.models.linear.repeat import Repeated, repeat_march
@@ -28,10 +30,11 @@ from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import OpeningTable, cut_pieces
 from ltvpneu.models.machine.quasi_static import nearest_source
-from ltvpneu.models.nonlinear.integrator import OK
+from ltvpneu.models.nonlinear.integrator import OK, PAUSED
+from ltvpneu.models.nonlinear.method import integration_settings
+from ltvpneu.models.nonlinear.orbits import step_label
 from ltvpneu.models.nonlinear.rest import AT_EDGE, rests_in_a_band, what_holds
 from ltvpneu.models.nonlinear.runge_kutta import new_run
-from ltvpneu.models.nonlinear.simulation import integration_settings, step_label
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.orbit import Orbit
@@ -107,7 +110,7 @@ class Found(Value):
         return bool((self.steps.modes == STUCK).any())
 
 
-def own_cycle_model(question: Question, n_steps: int, spacing: Spacing) -> LtvModel:
+def own_cycle_model(question: Question, n_steps: int, spacing: Spacing, watch: Watch = UNWATCHED) -> LtvModel:
     """Return the model with that many steps of the openings; cuts at stick and slip come on top.
 
     Raises
@@ -115,10 +118,10 @@ def own_cycle_model(question: Question, n_steps: int, spacing: Spacing) -> LtvMo
     NotConvergedError
         An operating point was not found, or the cycle does not repeat.
     """
-    return as_model(find_cycle(question, n_steps, spacing))
+    return as_model(find_cycle(question, n_steps, spacing, watch=watch))
 
 
-def model_to_tolerance(question: Question, rtol: float, spacing: Spacing) -> LtvModel:
+def model_to_tolerance(question: Question, rtol: float, spacing: Spacing, watch: Watch = UNWATCHED) -> LtvModel:
     """Return the model with as few steps, by factors of two, as its own error estimate asks for.
 
     Raises
@@ -128,7 +131,7 @@ def model_to_tolerance(question: Question, rtol: float, spacing: Spacing) -> Ltv
     """
     n_steps, found = default_steps(question.machine), None
     while True:
-        found = find_cycle(question, n_steps, spacing, found)
+        found = find_cycle(question, n_steps, spacing, found, watch)
         model = as_model(found)
         estimate = model.error_estimate
         # Of a piston at rest, the error is that of its pressures.
@@ -149,16 +152,18 @@ def model_to_tolerance(question: Question, rtol: float, spacing: Spacing) -> Ltv
         n_steps = max(2 * n_steps, found.cells.size)
 
 
-def find_cycle(question: Question, n_steps: int, spacing: Spacing, found: Found | None = None) -> Found:
+def find_cycle(
+    question: Question, n_steps: int, spacing: Spacing, found: Found | None = None, watch: Watch = UNWATCHED
+) -> Found:
     """Return the cycle with `n_steps` cells; `found`, one with fewer, saves the first rounds."""
     machine = question.machine
     base = staircase(machine, min(n_steps, machine.openings.fractions.size - 1)).fractions
     least = base.size - 1
     n_steps = max(n_steps, least)
     if spacing == "even" or n_steps == least:
-        return _repeated(question, even_cuts(base, n_steps), None)
+        return _repeated(question, even_cuts(base, n_steps), None, watch)
     if found is None:
-        found = _repeated(question, base, None)
+        found = _repeated(question, base, None, watch)
     while True:
         n_cells = min(n_steps, GROWTH * (found.cells.size - 1))
         steps = found.steps
@@ -166,12 +171,12 @@ def find_cycle(question: Question, n_steps: int, spacing: Spacing, found: Found 
         starts = np.concatenate([[0.0], np.cumsum(steps.durations)]) * question.frequency
         one = int(np.searchsorted(starts, 1 - 1e-9)) + 1 if found.repeated.n_periods > 1 else starts.size
         boundaries = np.append(starts[: one - 1], 1.0)
-        found = _repeated(question, cuts_by_error(base, boundaries, steps.errors[: one - 1], n_cells), found)
+        found = _repeated(question, cuts_by_error(base, boundaries, steps.errors[: one - 1], n_cells), found, watch)
         if n_cells >= n_steps:
             return found
 
 
-def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Found:
+def _repeated(question: Question, cells: FloatArray, before: Found | None, watch: Watch) -> Found:
     machine, plan = question.machine, question.plan(cells)
     steps = new_steps(plan)
     # Where the piston rests depends on how it came there, so a cycle with rest is marched to from the machine's rest.
@@ -179,9 +184,8 @@ def _repeated(question: Question, cells: FloatArray, before: Found | None) -> Fo
         start = np.append(machine.rest_state / plan.scales, 1.0)
     else:
         start = before.repeated.start
-    repeated = repeat_march(
-        start, plan, steps, CYCLE_TOLERANCE * float(plan.records["run"]["settings"]["rtol"][0]), MAX_PERIODS
-    )
+    tolerance = CYCLE_TOLERANCE * float(plan.records["run"]["settings"]["rtol"][0])
+    repeated = repeat_march(start, plan, steps, tolerance, MAX_PERIODS, watch)
     iterations = repeated.n_marched + (0 if before is None else before.iterations)
     if repeated.n_periods == 0:
         _raise_not_found(question, repeated, iterations, cells.size - 1)
@@ -222,7 +226,22 @@ def _raise_not_found(question: Question, repeated: Repeated, iterations: int, n_
             residual=repeated.residual,
             iterations=iterations,
         )
-    if marched.status >= NOT_CONVERGED - 1:
+    if marched.status == TOO_MANY_EVENTS:
+        raise NotConvergedError(
+            f"{name}: at {marched.time:.6g} s the piston chatters: it stops and breaks away more than {MAX_EVENTS} "
+            "times within a step. Ask for more steps, or look at lp.simulate",
+            residual=marched.defect,
+            iterations=iterations,
+        )
+    if marched.status == PAUSED:
+        raise NotConvergedError(
+            f"{name}: at {marched.time:.6g} s the march was given up after {MOST_STEPS_IN_PERIOD} steps of integration "
+            "within one valve period: a small volume beside a large opening makes them that short. Make the volume "
+            "larger, or collapse it (collapse)",
+            residual=marched.defect,
+            iterations=iterations,
+        )
+    if marched.status == NOT_CONVERGED:
         raise NotConvergedError(
             f"{name}: at {marched.time:.6g} s no operating point was found, however short the step; the scaled "
             f"difference from the step's own mean is {marched.defect:.1e}. Ask for more steps",
