@@ -13,9 +13,9 @@ from benchmarks.conftest import ratio
 from ltvpneu.models.linear.own_cycle import OwnCycle
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.machine.records import GENERAL
+from ltvpneu.models.nonlinear.method import integration_settings
+from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.runge_kutta import new_run
-from ltvpneu.models.nonlinear.settle import integrate_period
-from ltvpneu.models.nonlinear.simulation import integration_settings
 
 FREQUENCY = 4.0
 

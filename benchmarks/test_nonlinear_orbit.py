@@ -8,6 +8,7 @@ package's compiled one.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from scipy.integrate import solve_ivp
 
 import ltvpneu as lp
 from benchmarks.conftest import ratio
+from ltvpneu.models.linear.error_estimate import error_estimate
 from ltvpneu.models.linear.linearize import areas_at
 from ltvpneu.models.machine.dynamics import STUCK, external_force, state_rate
 from ltvpneu.models.machine.piston import mode_of
@@ -129,3 +131,32 @@ def test_nonlinear_orbit_against_solve_ivp(benchmark: BenchmarkFixture, table_1:
         print(f"right-hand side rtol {rtol:.1e}, error {errors[1]:.1e}: {times:.0f} times ours")
         benchmark.extra_info[f"{name} right-hand side, times ours"] = times
     benchmark(lambda: ours(our_rtol))
+
+
+@pytest.mark.parametrize("share", [1e-2, 1e-5, 1e-8])
+def test_slow_machines_cost_what_fast_ones_do(benchmark: BenchmarkFixture, table_1: lp.Machine, share: float) -> None:
+    """Table 1 without friction, with all its areas a share of what they are: as slow as that share is small."""
+    assert isinstance(table_1.valve, lp.RotaryValve)
+    ports = tuple(replace(port, area=share * port.area) for port in table_1.valve.ports)
+    paths = tuple(replace(path, area=share * (path.area or 0.0)) for path in table_1.flow_paths)
+    slow = replace(table_1, valve=replace(table_1.valve, ports=ports), flow_paths=paths).without_dry_friction()
+    fast = table_1.without_dry_friction()
+    times = ratio(lambda: lp.nonlinear_orbit(slow, 20.0), lambda: lp.nonlinear_orbit(fast, 20.0), rounds=9)
+    n_simulated = lp.nonlinear_orbit(slow, 20.0).n_simulated
+    print(f"\nareas times {share:g}: {n_simulated} periods simulated, {times:.1f} times the orbit of the whole areas")
+    benchmark.extra_info["times the orbit of the whole areas"] = times
+    benchmark(lambda: lp.nonlinear_orbit(slow, 20.0))
+
+
+def test_a_model_of_two_steps_is_checked_in_about_its_own_time(
+    benchmark: BenchmarkFixture, table_1: lp.Machine
+) -> None:
+    model = lp.ltv_model(table_1, 15.0, operating_points="fitted")
+
+    def checked() -> bool:
+        return error_estimate(table_1, 15.0, model.orbit).is_reliable
+
+    times = ratio(checked, lambda: lp.ltv_model(table_1, 15.0, operating_points="fitted"), rounds=9)
+    print(f"\nchecked on the machine in {times:.2f} times what the fitted model took")
+    benchmark.extra_info["times the fitted model"] = times
+    benchmark(checked)
