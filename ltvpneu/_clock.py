@@ -35,8 +35,7 @@ class Deadline(Value):
         """
         if time.monotonic() > self.end:
             raise TimeLimitError(
-                f"max_seconds: {self.seconds:g} s are over, {reached}. Give it more time, or look at "
-                "lp.simulate for what the machine does",
+                f"max_seconds: {self.seconds:g} s are over, {reached}. Give it more time, or ask for less",
                 seconds=self.seconds,
             )
 

@@ -112,8 +112,7 @@ def _refuted(orbit: Orbit, found: Orbit, length: float) -> str:
 
 def _confirmed(machine: Machine, frequency: float, found: Orbit) -> str:
     """Return what is to be said of a cycle that the machine has: what else it has."""
-    if not found.is_isolated:
-        return f"confirmed, one of a band: {found.rest} at {1e3 * found.mean(0):.4g} mm"
+    band = "" if found.is_isolated else f", one of a band: {found.rest} at {1e3 * found.mean(0):.4g} mm"
     scales = machine.state_scales
     for place, start in _other_starts(machine):
         try:
@@ -121,13 +120,16 @@ def _confirmed(machine: Machine, frequency: float, found: Orbit) -> str:
                 machine, frequency, start, method=LOOSE, max_periods=MOST_PERIODS, tolerance=LOOSE_TOLERANCE
             )
         except LtvpneuError:
-            return f"confirmed, but {place} the machine does not settle soon"
+            return f"confirmed{band}, but {place} the machine does not settle soon"
+        if band and not other.is_isolated:
+            # Another place of the band, as far as is known.
+            continue
         apart = np.min(np.max(np.abs(found.branches - other.initial_state) / scales, axis=1))
         if not other.is_isolated or other.n_periods != found.n_periods or apart > SAME:
             reached = other.rest or f"an amplitude of {1e3 * other.amplitude(0):.4g} mm"
             where = f"{reached} at {1e3 * other.mean(0):.4g} mm"
-            return f"confirmed, one of several: {place} the machine settles on {where}"
-    return "confirmed"
+            return f"confirmed{band}, one of several: {place} the machine settles on {where}"
+    return f"confirmed{band}"
 
 
 def _other_starts(machine: Machine) -> list[tuple[str, FloatArray]]:

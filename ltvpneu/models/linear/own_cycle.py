@@ -226,25 +226,17 @@ def _raise_not_found(question: Question, repeated: Repeated, iterations: int, n_
             residual=repeated.residual,
             iterations=iterations,
         )
-    if marched.status == TOO_MANY_EVENTS:
+    reasons = {
+        TOO_MANY_EVENTS: f"the piston chatters: it stops and breaks away more than {MAX_EVENTS} times within a step. "
+        "Ask for more steps, or look at lp.simulate",
+        PAUSED: f"the march was given up after {MOST_STEPS_IN_PERIOD} steps of integration within one valve period: a "
+        "small volume beside a large opening makes them that short. Make the volume larger, or collapse it (collapse)",
+        NOT_CONVERGED: "no operating point was found, however short the step; the scaled difference from the step's "
+        f"own mean is {marched.defect:.1e}. Ask for more steps",
+    }
+    if marched.status in reasons:
         raise NotConvergedError(
-            f"{name}: at {marched.time:.6g} s the piston chatters: it stops and breaks away more than {MAX_EVENTS} "
-            "times within a step. Ask for more steps, or look at lp.simulate",
-            residual=marched.defect,
-            iterations=iterations,
-        )
-    if marched.status == PAUSED:
-        raise NotConvergedError(
-            f"{name}: at {marched.time:.6g} s the march was given up after {MOST_STEPS_IN_PERIOD} steps of integration "
-            "within one valve period: a small volume beside a large opening makes them that short. Make the volume "
-            "larger, or collapse it (collapse)",
-            residual=marched.defect,
-            iterations=iterations,
-        )
-    if marched.status == NOT_CONVERGED:
-        raise NotConvergedError(
-            f"{name}: at {marched.time:.6g} s no operating point was found, however short the step; the scaled "
-            f"difference from the step's own mean is {marched.defect:.1e}. Ask for more steps",
+            f"{name}: at {marched.time:.6g} s {reasons[marched.status]}",
             residual=marched.defect,
             iterations=iterations,
         )

@@ -71,8 +71,10 @@ def _step(period: PeriodMap, turn: Turn) -> tuple[FloatArray, FloatArray]:
     """Return the scaled step of Newton's method from a turn, (n,), and the inverse that it is taken with, (n, n)."""
     scales = period.machine.state_scales
     derivative = period.derivative(turn) * scales / scales[:, None]
+    if not np.isfinite(derivative).all():
+        # No step is shorter than one that is no number: the search ends there, and says so.
+        return np.full(scales.size, math.nan), np.eye(scales.size)
     # A piston that is held stays where it is: of all solutions the shortest.
     inverse = np.linalg.pinv(np.eye(scales.size) - derivative, rcond=1e-13).astype(np.float64)
-    change = (turn.end - turn.start) / scales
-    step: FloatArray = inverse @ change
-    return (step if np.isfinite(step).all() else np.full(scales.size, math.nan)), inverse
+    step: FloatArray = inverse @ ((turn.end - turn.start) / scales)
+    return step, inverse

@@ -84,7 +84,7 @@ class PeriodMap(Value):
     n_periods : int
         Valve periods of a turn.
     method : DormandPrince or RungeKutta4
-        As of `nonlinear_orbit`. The derivatives are those of the equations, to a relative 1e-6 or better.
+        As of `nonlinear_orbit`. Derivatives are those of the equations, and agree with differences to a few 1e-5.
 
     Raises
     ------

@@ -40,6 +40,14 @@ def test_a_cycle_beside_others_says_so():
     assert "one of several: from its stop at -50 mm the machine settles on" in estimate.verdict
 
 
+def test_a_band_beside_an_orbit_says_so():
+    machine, frequency = random_machine(np.random.default_rng(176))
+    estimate = lp.ltv_model(machine, frequency, operating_points="fitted").error_estimate
+    assert estimate.is_reliable
+    assert "one of a band: held by stiction" in estimate.verdict
+    assert "one of several: from rest the machine settles on an amplitude of 0.9" in estimate.verdict
+
+
 def test_a_machine_that_settles_nowhere_refutes_with_its_reason(table_1):
     # Mean pressures far above what the spring can hold within the chamber: the volume is swept empty.
     machine = replace(table_1, load=replace(table_1.load, force=-70.0)).without_dry_friction()
