@@ -87,10 +87,13 @@ def reduced(factors: Array, forcing: Array) -> Reduced:
             growth = max(growth, np.abs(total).max(initial=0.0))
         if growth <= MODERATE:
             return Reduced(first=-total, last=np.eye(n), rhs=gained, rounds=(), steps=(factors, forcing))
-    left, rhs = -factors, forcing
-    right: Array = np.broadcast_to(np.eye(n), factors.shape)
-    rounds: list[Eliminated] = []
-    with one_blas_thread(len(factors)):
+    return reduced_pairs(-factors, np.broadcast_to(np.eye(n), factors.shape), forcing)
+
+
+def reduced_pairs(left: Array, right: Array, rhs: Array) -> Reduced:
+    """Reduce left_k z_k + right_k z_{k+1} = rhs_k to one equation; shapes (N, n, n) twice, and (N, n, m)."""
+    n, rounds = left.shape[1], list[Eliminated]()
+    with one_blas_thread(len(left)):
         while len(left) > 1:
             pairs = len(left) // 2
             upper, lower, odd = slice(0, 2 * pairs, 2), slice(1, 2 * pairs, 2), slice(2 * pairs, None)

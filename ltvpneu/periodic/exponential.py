@@ -18,7 +18,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu._values import Value
-from ltvpneu.periodic.propagate import exponentials
+from ltvpneu.periodic.propagate import exponentials, forced_exponentials
 from ltvpneu.periodic.small import root_time, sampled
 from ltvpneu.periodic.system import PeriodicSystem
 
@@ -60,7 +60,7 @@ class ExponentialTrajectory(Value):
     def at(self, times: FloatArray) -> FloatArray:
         """Return the signals at times within the period, shape (n_signals, n_times); at a switch, just after it."""
         step, local = self.system.step_at(times)
-        maps = exponentials(self.system.scaled.matrices[step] * local[:, None, None])
+        maps = forced_exponentials(self.system.scaled.matrices[step] * local[:, None, None], self.system.n_states)
         states = np.einsum("tij,tj->ti", maps, self.starts[step])
         return np.einsum("tsi,ti->st", self.rows[step], states)
 
@@ -138,13 +138,13 @@ class ExponentialTrajectory(Value):
     def _shares(self) -> FloatArray:
         """Shares of a step at which its states are sampled: evenly for oscillation, halving to 0 for decay."""
         eigenvalues = np.linalg.eigvals(self.system.scaled.matrices[:, :-1, :-1]) * self.system.durations[:, None]
-        decay = float(np.max(np.abs(eigenvalues)))
+        decay = float(np.max(np.abs(eigenvalues), initial=0.0))
         # A swing that decays is below rounding when its exponent reaches 40: beyond, nothing oscillates any more.
         swinging = np.abs(eigenvalues.imag) > 0
         with np.errstate(divide="ignore"):
             lasts = np.where(eigenvalues.real < 0, np.minimum(40.0 / np.abs(eigenvalues.real), 1.0), 1.0)
         until = float(np.max(lasts, where=swinging, initial=0.0))
-        swings = float(np.max(np.abs(eigenvalues.imag))) * until
+        swings = float(np.max(np.abs(eigenvalues.imag), initial=0.0)) * until
         even = np.union1d(np.linspace(0.0, until, 1 + int(np.ceil(4 * swings / np.pi))), np.linspace(0.0, 1.0, 5))
         halvings = 2.0 ** -np.arange(1, 2 + max(0, int(np.ceil(np.log2(max(decay, 1.0))))))
         return np.asarray(np.union1d(even, halvings), dtype=np.float64)

@@ -20,21 +20,26 @@ x_k, y_k along the period moves by [Kato1995]_ (II.2.2)
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
 from ltvpneu._arrays import ComplexArray, FloatArray, IntArray, not_negative, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import StepOverflowError
-from ltvpneu.periodic.cyclic import Reduced, reduced
+from ltvpneu.periodic.cyclic import Reduced, reduced_pairs
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.product import from_logs, log_multipliers, product_multipliers
-from ltvpneu.periodic.propagate import complex_exponentials, exponentials
+from ltvpneu.periodic.product import expect_converged, falling, from_logs, product_multipliers
+from ltvpneu.periodic.propagate import complex_exponentials
+from ltvpneu.periodic.schur import log_eigenvalues
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 LEAST_SHARE, TINY = -27.0, float(np.finfo(float).tiny)
 """Logarithm of a modulus, over the largest or one, below which the whole map has lost it to rounding [-]."""
+LARGEST_RATIO = 300.0
+"""Logarithm of sizes beyond which a state is all or nothing beside another [-]."""
+TRACE_TOLERANCE = 1e-11
+"""Of the sum of the logarithms, relative to the norm of A times the period."""
 
 
 def monodromy(system: PeriodicSystem) -> FloatArray:
@@ -55,15 +60,15 @@ def monodromy(system: PeriodicSystem) -> FloatArray:
     """
     expect_system(system)
     n, scales = system.n_states, system.scaled.scales
-    factors = system.maps.maps[:, :n, :n] if system.is_representable else _factors(system)
+    finer = system if system.is_representable else system.split(system.fine_pieces)
     product, exponent = np.eye(n), 0
-    for factor in factors:
+    for factor in finer.maps.maps[:, :n, :n]:
         # By powers of two: growth within the period that comes back again shall not overflow on the way.
         product = factor @ product
         power = int(np.frexp(np.abs(product).max(initial=0.0))[1])
         product, exponent = np.ldexp(product, -power), exponent + power
     with np.errstate(over="ignore"):
-        found = np.ldexp(product * (scales[:, None] / scales), min(exponent, 5000))
+        found = np.ldexp(product * (scales[:, None] / scales), min(max(exponent, -5000), 5000))
     if not np.isfinite(found).all():
         raise StepOverflowError(
             f"the monodromy matrix has an entry of about 10^{exponent * math.log10(2):.0f}, more than double precision "
@@ -78,20 +83,26 @@ class Maps(Value):
     """Maps of a disturbance whose product, the first one first, is the map over the period, in scaled states."""
 
     factors: FloatArray
-    """(n_maps, n, n)"""
+    """(n_maps, n, n); a map is diag(exp(row_logs)) times its factor."""
     durations: FloatArray
     """[s]; zero for what happens at once, as at a stop; (n_maps,)."""
     starts: IntArray
     """Number of the map that each step begins with, (n_steps,)."""
     scales: FloatArray
     """Sizes of the states, (n,)."""
+    row_logs: FloatArray | None = None
+    """Logarithms of the sizes of the factors' rows, (n_maps, n); zero by default."""
+    growth: FloatArray | None = None
+    """What each map adds to the logarithm of each multiplier, in their order, where known; (n_maps, n)."""
 
     @property
     def product(self) -> FloatArray:
         """The map over the period, scaled, (n, n)."""
         whole = np.eye(self.scales.size)
-        for factor in self.factors:
+        for k, factor in enumerate(self.factors):
             whole = factor @ whole
+            if self.row_logs is not None:
+                whole *= _exp(self.row_logs[k])[:, None]
         return whole
 
 
@@ -134,12 +145,14 @@ class Floquet(Value):
 
     @property
     def spectral_radius(self) -> float:
-        """Largest modulus [-]; infinite where it is beyond double precision."""
+        """Largest modulus [-]; infinite where it is beyond double precision, zero without states."""
+        if self.log_moduli.size == 0:
+            return 0.0
         return math.exp(self.log_moduli[0]) if self.log_moduli[0] < 709 else math.inf
 
     @cached_property
     def margin(self) -> float:
-        """Distance from the unit circle within which the verdict is "marginal" [-].
+        """Distance from the unit circle within which a multiplier counts as on it [-].
 
         Of a system it covers the largest multipliers' own error.
         """
@@ -152,11 +165,11 @@ class Floquet(Value):
         where that number has no bound, by the n-th root of the backward error.
         """
         n_pieces, n = self.maps.factors.shape[:2]
-        if self.system is None or not np.isfinite(self.log_moduli[0]):
+        if self.system is None or n == 0 or not np.isfinite(self.log_moduli[0]):
             return 0.0
         backward = np.finfo(float).eps * n * math.sqrt(n_pieces)
         near = np.flatnonzero(self.log_moduli >= self.log_moduli[0] - math.log(2))
-        conditions = [_condition(*self._vectors(int(i))) for i in near if self.angles[i] >= 0]
+        conditions = [_condition(self._vectors(int(i))) for i in near if self.angles[i] >= 0]
         return min(max(conditions) * backward, backward ** (1.0 / n))
 
     @property
@@ -166,15 +179,36 @@ class Floquet(Value):
 
     @property
     def is_marginal(self) -> bool:
-        """Whether the largest multiplier is within the margin of the unit circle, so that no verdict is safe."""
+        """Whether the largest multiplier is within the margin of the unit circle: disturbances do not decay, by it."""
         return bool(abs(self.spectral_radius - 1) <= self.margin)
 
     @property
+    def separation(self) -> float:
+        """Smallest distance between two multipliers within the margin of the unit circle [-]; infinite if one is."""
+        near = self.multipliers[np.abs(_exp(self.log_moduli) - 1) <= self.margin]
+        distances = np.abs(near[:, None] - near) + np.diag(np.full(near.size, np.inf))
+        return float(np.min(distances, initial=np.inf))
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether disturbances of a periodic system stay bounded: it is stable, or its largest multipliers are simple.
+
+        On the unit circle, to the margin, a simple multiplier neither grows nor decays, as in a conservative system. A
+        double one, whose motions may grow in proportion to time, is split by rounding: simple is what stands apart by
+        more than ten roots of the margin. Of an orbit of a nonlinear machine its linearization cannot tell.
+        """
+        if self.is_stable or not self.is_marginal:
+            return self.is_stable
+        return self.system is not None and self.separation > 10 * math.sqrt(self.margin)
+
+    @property
     def verdict(self) -> str:
-        """One of "stable", "marginal", "unstable"."""
+        """One of "stable", "bounded", "marginal", "unstable": disturbances decay; stay; cannot be told; grow."""
         if self.is_stable:
             return "stable"
-        return "marginal" if self.is_marginal else "unstable"
+        if not self.is_marginal:
+            return "unstable"
+        return "bounded" if self.is_bounded else "marginal"
 
     @cached_property
     def monodromy(self) -> FloatArray:
@@ -195,9 +229,14 @@ class Floquet(Value):
 
         One mode a column, in the order of the multipliers, of unit length where it is longest.
         """
-        vectors = np.stack([self._vectors(i)[0] for i in range(self.multipliers.size)], axis=2)
-        shapes = vectors[self.maps.starts] * self.maps.scales[:, None]
-        return shapes / np.max(np.linalg.norm(shapes, axis=1), axis=0)
+        found = [self._vectors(i) for i in range(self.multipliers.size)]
+        if not found:
+            return np.zeros((self.maps.starts.size, 0, 0), dtype=np.complex128)
+        vectors = np.stack([pair.shapes[self.maps.starts] for pair in found], axis=2) * self.maps.scales[:, None]
+        logs = np.stack([pair.logs[self.maps.starts] for pair in found], axis=1)
+        with np.errstate(divide="ignore"):
+            longest = np.max(np.log(np.linalg.norm(vectors, axis=1)) + logs, axis=0)
+        return vectors * _exp(logs - longest)[:, None, :]
 
     @cached_property
     def adjoint_shapes(self) -> ComplexArray:
@@ -205,9 +244,20 @@ class Floquet(Value):
 
         One a column, so scaled that q^T p = 1 for its own mode.
         """
-        vectors = np.stack([self._vectors(i)[1] for i in range(self.multipliers.size)], axis=2)
-        shapes = vectors[self.maps.starts] / self.maps.scales[:, None]
-        return shapes / np.sum(shapes * self.mode_shapes, axis=1, keepdims=True)
+        found = [self._vectors(i) for i in range(self.multipliers.size)]
+        if not found:
+            return np.zeros((self.maps.starts.size, 0, 0), dtype=np.complex128)
+        vectors = np.stack([pair.adjoints[self.maps.starts] for pair in found], axis=2) / self.maps.scales[:, None]
+        shapes = np.stack([pair.shapes[self.maps.starts] for pair in found], axis=2) * self.maps.scales[:, None]
+        logs = np.stack([pair.logs[self.maps.starts] for pair in found], axis=1)
+        with np.errstate(divide="ignore"):
+            longest = np.max(np.log(np.linalg.norm(shapes, axis=1)) + logs, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return (
+                vectors
+                / np.sum(vectors * shapes, axis=1, keepdims=True)
+                * _exp(np.minimum(longest - logs, 700.0))[:, None, :]
+            )
 
     def mode_shape(self, mode: int, times: FloatArray) -> ComplexArray:
         """Return p(t) of one mode at times within the period [s], shape (n, n_times).
@@ -230,43 +280,55 @@ class Floquet(Value):
         starts = self.mode_shapes[step, :, mode] / scales
         return (scales * (maps @ starts[:, :, None])[:, :, 0]).T
 
-    def _vectors(self, mode: int) -> tuple[ComplexArray, ComplexArray]:
-        """Return balanced p and q of a mode at the start of every piece, shapes (n_pieces, n)."""
+    def _vectors(self, mode: int) -> "_Vectors":
+        """Return p and q of a mode at the start of every piece."""
         if self.angles[mode] < 0:
             # The upper half of a pair stands first.
-            p, q = self._upper_vectors(mode - 1)
-            return np.conj(p), np.conj(q)
+            upper = self._upper_vectors(mode - 1)
+            return _Vectors(np.conj(upper.shapes), np.conj(upper.adjoints), upper.logs)
         return self._upper_vectors(mode)
 
-    def _upper_vectors(self, mode: int) -> tuple[ComplexArray, ComplexArray]:
+    def _upper_vectors(self, mode: int) -> "_Vectors":
         if mode not in self._known_vectors:
             of_system = self.system is not None and np.isfinite(self.log_moduli[mode])
             self._known_vectors[mode] = self._vectors_of_system(mode) if of_system else self._vectors_of_product(mode)
         return self._known_vectors[mode]
 
-    def _vectors_of_system(self, mode: int) -> tuple[ComplexArray, ComplexArray]:
+    @cached_property
+    def _known_vectors(self) -> "dict[int, _Vectors]":
+        return {}
+
+    def _vectors_of_system(self, mode: int) -> "_Vectors":
+        """Return p and q by the cyclic system, each factor divided by what the mode grows there.
+
+        So all unknowns are of about one size, and rows larger than that are divided on both sides.
+        """
         apart = np.abs(self.log_moduli - self.log_moduli[mode]) + np.abs(self.angles - self.angles[mode])
         # Members of one multiple multiplier take the singular vectors in turn.
         member = int(np.count_nonzero(apart[:mode] < 1e-8))
-        return self._pieces_of_exponent(complex(self.exponents[mode]), member)
+        maps, period = self.maps, self.period
+        assert maps.growth is not None
+        assert maps.row_logs is not None
+        shrink = _evenly(maps.growth[:, mode], maps)
+        shrink += (self.log_moduli[mode] - np.sum(shrink)) * maps.durations / period
+        sizes = maps.row_logs - shrink[:, None]
+        # e^{-i angle} once a period, spread evenly in time.
+        phases = np.exp(-1j * self.angles[mode] * maps.durations / period)
+        # Cut off, and sooner where rows grow: what decays in one step by more than it grows in another stays at zero.
+        left = -np.exp(np.clip(sizes, -2 * LARGEST_RATIO, 0.0))[:, :, None] * maps.factors * phases[:, None, None]
+        right = np.zeros_like(left)
+        np.einsum("kii->ki", right)[:] = np.exp(np.clip(-sizes, -LARGEST_RATIO, 0.0))
+        nothing = np.zeros((len(left), left.shape[1], 1))
+        shapes = _null_trajectory(reduced_pairs(left, right, nothing), member)
+        # The adjoint equations are the transposed ones, from the end to the start.
+        backward = np.swapaxes(left[::-1], 1, 2), np.roll(right[::-1], -1, axis=0)
+        found = _null_trajectory(reduced_pairs(*backward, nothing), member)[::-1]
+        adjoints = -(np.swapaxes(left, 1, 2) @ found[:, :, None])[:, :, 0]
+        elapsed = np.cumsum(maps.durations) - maps.durations
+        logs = np.cumsum(shrink) - shrink - self.log_moduli[mode] * elapsed / period
+        return _Vectors(shapes, adjoints, logs)
 
-    @cached_property
-    def _known_vectors(self) -> dict[int, tuple[ComplexArray, ComplexArray]]:
-        return {}
-
-    def _pieces_of_exponent(self, exponent: complex, member: int) -> tuple[ComplexArray, ComplexArray]:
-        system = self.system
-        assert system is not None
-        n, pieces = system.n_states, system.fine_pieces
-        matrices = (system.scaled.matrices[:, :n, :n] - exponent * np.eye(n)) * system.durations[:, None, None]
-        factors = np.repeat(complex_exponentials(matrices / pieces[:, None, None]), pieces, axis=0)
-        nothing = np.zeros((len(factors), factors.shape[1], 1))
-        forward = _null_trajectory(reduced(factors, nothing), member)
-        transposed = np.swapaxes(factors[::-1], 1, 2)
-        backward = _null_trajectory(reduced(transposed, nothing), member)
-        return forward, np.roll(backward[::-1], 1, axis=0)
-
-    def _vectors_of_product(self, mode: int) -> tuple[ComplexArray, ComplexArray]:
+    def _vectors_of_product(self, mode: int) -> "_Vectors":
         """Return p and q by the eigenvectors of the whole map, whose factors may be singular, as where a piston stops.
 
         A multiplier below the rounding of one, or of the largest, is as good as zero: what it belongs to is gone after
@@ -290,7 +352,34 @@ class Floquet(Value):
             forward.append(share * (factor @ forward[-1]))
         for factor, share in zip(maps.factors[:0:-1], shrink[:0:-1], strict=True):
             backward.append(share * (factor.T @ backward[-1]))
-        return np.array(forward), np.roll(np.array(backward[::-1]), 1, axis=0)
+        return _Vectors(np.array(forward), np.roll(np.array(backward[::-1]), 1, axis=0), np.zeros(len(forward)))
+
+
+class _Vectors(NamedTuple):
+    """Right and left vectors of a mode at the start of every map, and the logarithms that the right ones lack."""
+
+    shapes: ComplexArray
+    """p, but for exp(logs), (n_maps, n)."""
+    adjoints: ComplexArray
+    """q, but for exp(-logs), (n_maps, n)."""
+    logs: FloatArray
+    """(n_maps,)"""
+
+
+def _evenly(growth: FloatArray, maps: Maps) -> FloatArray:
+    """Return the growth over each step spread evenly over those of its maps that take time."""
+    counts = np.diff(np.append(maps.starts, len(growth)))
+    takes_time = np.where(np.repeat(counts == 1, counts), 1.0, maps.durations > 0)
+    # A step of no duration may have several maps none of which takes time.
+    shared = np.repeat(np.add.reduceat(takes_time, maps.starts), counts)
+    takes_time = np.where(shared > 0, takes_time, 1.0)
+    shared = np.where(shared > 0, shared, np.repeat(counts, counts))
+    return np.repeat(np.add.reduceat(growth, maps.starts), counts) * takes_time / shared
+
+
+def _exp(logs: FloatArray) -> FloatArray:
+    with np.errstate(over="ignore", under="ignore"):
+        return np.exp(logs)
 
 
 def _eigenvector(matrix: FloatArray, eigenvalue: complex) -> ComplexArray:
@@ -324,23 +413,41 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     'stable'
     """
     expect_system(system)
-    pieces = system.fine_pieces
-    maps = Maps(
-        factors=_factors(system),
-        durations=np.repeat(system.durations / pieces, pieces),
-        starts=np.cumsum(pieces) - pieces,
-        scales=system.scaled.scales,
-    )
-    found = from_logs(*log_multipliers(maps.factors))
+    factors = system.factors
+    found = log_eigenvalues(factors.matrices, factors.row_logs)
+    expect_converged(found, len(factors.matrices), system.n_states)
+    _expect_trace(system, found.log_moduli)
+    order = falling(found.log_moduli, found.angles)
+    sorted_ = from_logs(found.log_moduli, found.angles)
     return Floquet(
         period=system.period,
-        multipliers=found.multipliers,
-        log_moduli=found.log_moduli,
-        angles=found.angles,
+        multipliers=sorted_.multipliers,
+        log_moduli=sorted_.log_moduli,
+        angles=sorted_.angles,
         least_margin=not_negative("least_margin", least_margin),
-        maps=maps,
+        maps=Maps(
+            factors=factors.matrices,
+            durations=factors.durations,
+            starts=factors.starts,
+            scales=system.scaled.scales,
+            row_logs=factors.row_logs,
+            growth=found.growth[:, order],
+        ),
         system=system,
     )
+
+
+def _expect_trace(system: PeriodicSystem, log_moduli: FloatArray) -> None:
+    """Raise `StepOverflowError` unless the logarithms sum to the integral of the trace of A: Liouville's formula."""
+    traces = np.einsum("kii->k", system.A) * system.durations
+    size = float((np.abs(system.scaled.matrices[:, :-1, :-1]).max(axis=(1, 2), initial=0.0) * system.durations).sum())
+    gap = abs(float(np.sum(log_moduli)) - float(np.sum(traces)))
+    if not gap <= TRACE_TOLERANCE * max(size, 1.0) * max(system.n_states, 1):
+        raise StepOverflowError(
+            f"the logarithms of the multipliers sum to {np.sum(log_moduli):.9g}, and the trace of A over the period is "
+            f"{np.sum(traces):.9g}: this system is too stiff, and its states too strongly coupled, for double "
+            "precision. Are A and the durations in the same units of time? Else drop the fastest states"
+        )
 
 
 def orbit_multipliers(orbit: Orbit, maps: Maps, margin: float) -> Floquet:
@@ -357,17 +464,9 @@ def orbit_multipliers(orbit: Orbit, maps: Maps, margin: float) -> Floquet:
     )
 
 
-def _factors(system: PeriodicSystem) -> FloatArray:
-    """Return the balanced transition matrices of all pieces, shape (n_pieces, n, n)."""
-    pieces, n = system.fine_pieces, system.n_states
-    if len(pieces) == np.sum(pieces):
-        return system.maps.maps[:, :n, :n]
-    matrices = system.scaled.matrices[:, :n, :n] * (system.durations / pieces)[:, None, None]
-    return np.repeat(exponentials(matrices), pieces, axis=0)
-
-
-def _condition(p: ComplexArray, q: ComplexArray) -> float:
+def _condition(vectors: _Vectors) -> float:
     """Return the largest |q| |p| / |q^T p| along the period."""
+    p, q = vectors.shapes, vectors.adjoints
+    sizes = np.linalg.norm(q, axis=1) * np.linalg.norm(p, axis=1)
     overlap = np.abs(np.sum(q * p, axis=1))
-    with np.errstate(divide="ignore", over="ignore"):
-        return float(np.max(np.linalg.norm(q, axis=1) * np.linalg.norm(p, axis=1) / overlap))
+    return float(np.max(np.divide(sizes, overlap, out=np.full(len(p), np.inf), where=overlap > 0)))

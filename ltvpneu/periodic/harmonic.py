@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import ComplexArray, FloatArray, finite_array
+from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.cyclic import reduced
 from ltvpneu.periodic.floquet import floquet
@@ -49,6 +50,8 @@ def harmonic_transfer(system: PeriodicSystem, s: complex, harmonics: Sequence[in
     ------
     ValueError
         s is a characteristic exponent: the response has no such form.
+    StepOverflowError
+        The response grows further within the period than double precision can follow.
 
     Examples
     --------
@@ -123,9 +126,19 @@ def _periodic_shape(system: PeriodicSystem, shifted: ComplexArray, B: FloatArray
     gap = one.first + one.last
     values = np.linalg.svd(gap, compute_uv=False)
     if n and values[-1] <= 1e-13 * (np.abs(one.first).max() + np.abs(one.last).max()):
-        exponents = ", ".join(f"{x:.6g}" for x in floquet(system).exponents)
+        exponents = floquet(system).exponents
+        shown = ", ".join(f"{x:.6g}" for x in exponents)
+        turns = (exponents - s) * system.period
+        turns = turns.real + 1j * (turns.imag - 2 * np.pi * np.round(turns.imag / (2 * np.pi)))
+        # A pair with a Jordan block is only good to the root of the rounding error.
+        if np.abs(turns).min() > 1e-5:
+            raise StepOverflowError(
+                f"the response to e^(s t) at s = {s:.6g} grows too far within the period, and comes back, for double "
+                f"precision to follow, though s is no characteristic exponent (they are {shown}). Are A and the "
+                "durations in the same units of time?"
+            )
         raise ValueError(
-            f"s: found {s:.6g}, a characteristic exponent but for multiples of j 2 pi / T (they are {exponents}), where"
+            f"s: found {s:.6g}, a characteristic exponent but for multiples of j 2 pi / T (they are {shown}), where"
             " the response to e^(s t) grows without bound; move s off it"
         )
     start = np.linalg.solve(gap, one.rhs)

@@ -28,6 +28,9 @@ from ltvpneu.periodic.system import PeriodicSystem, expect_system
 def hinf_norm(system: PeriodicSystem, *, rtol: float = 1e-14) -> float:
     """Return the Hinf norm: the largest ratio of the output's to the input's energy, square root taken.
 
+    It takes some fifty bisections, each as long as a solution of a Riccati equation: ten times as long as the H2 norm,
+    which is one sum. A larger `rtol` takes fewer, three for each digit.
+
     Parameters
     ----------
     system : PeriodicSystem
@@ -57,8 +60,8 @@ def hinf_norm(system: PeriodicSystem, *, rtol: float = 1e-14) -> float:
         )
     # Both are at most the norm; at the feedthrough itself the game is singular.
     low = max(feedthrough * (1 + 1e-13), float(np.max(gramians(system).hankel_singular_values, initial=0.0)))
-    if low == 0.0:
-        return 0.0
+    if low == 0.0 or system.n_states == 0:
+        return feedthrough
     high = 2 * low
     while not _is_bound(system, high):
         low, high = high, 2 * high
@@ -82,7 +85,7 @@ def _is_bound(system: PeriodicSystem, gamma: float) -> bool:
         if not total.is_bounded_with(total):
             return False
         total = total.then(total)
-        if np.max(np.abs(total.E)) < 1e-20:
+        if np.max(np.abs(total.E), initial=0.0) < 1e-20:
             return True
     # Neither broken nor forgotten after 2^60 periods: the norm itself, to rounding.
     return True

@@ -7,7 +7,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.bridge import CONSTANT_INPUT
-from ltvpneu.periodic.propagate import exponentials
+from ltvpneu.periodic.propagate import forced_exponentials
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 if TYPE_CHECKING:
@@ -117,11 +117,11 @@ def _input_maps(system: PeriodicSystem) -> FloatArray:
     matrices[:, :n, :n], matrices[:, :n, n:] = system.scaled.matrices[:, :n, :n], forced * units
     # Raises where a step overflows.
     _ = system.maps
-    maps = exponentials(matrices * system.durations[:, None, None])[:, :n]
+    maps = forced_exponentials(matrices * system.durations[:, None, None], n)[:, :n]
     return maps * scales[:, None] / np.concatenate([scales, units])
 
 
 def _held_together(rows: FloatArray, N: int, n: int) -> FloatArray:
     """Return coefficients of inputs that are the same in every step, and of "one"."""
-    each = rows[:, n:-1].reshape(len(rows), N, -1).sum(axis=1)
+    each = rows[:, n:-1].reshape(len(rows), N, (rows.shape[1] - n - 1) // N).sum(axis=1)
     return np.column_stack([each, rows[:, -1]])

@@ -55,6 +55,9 @@ def compressed(columns: FloatArray) -> FloatArray:
 def step_gramians(A: FloatArray, B: FloatArray, C: FloatArray, durations: FloatArray) -> StepGramians:
     """Return the integrals over steps, shapes (N, n, n), (N, n, m), (N, p, n) and (N,)."""
     N, n = A.shape[:2]
+    if n == 0:
+        nothing = np.zeros((N, 0, 0))
+        return StepGramians(controllability=nothing, observability=nothing, energy=np.zeros(N))
     largest = float(np.max(np.max(np.sum(np.abs(A), axis=1), axis=1, initial=0.0) * durations, initial=0.0))
     doublings = max(0, math.ceil(math.log2(2 * largest))) if largest > 0 else 0
     h = durations / 2.0**doublings

@@ -37,14 +37,34 @@ def one_blas_thread(stack: int) -> AbstractContextManager[object]:
 
 def exponentials(matrices: FloatArray) -> FloatArray:
     """Exponentials of a stack of small matrices, shape (..., k, k)."""
+    if matrices.size == 0:
+        return np.zeros(matrices.shape)
     with one_blas_thread(matrices.shape[0]):
         return np.asarray(expm(matrices), dtype=np.float64)
 
 
 def complex_exponentials(matrices: ComplexArray) -> ComplexArray:
     """Exponentials of a stack of small complex matrices, shape (..., k, k)."""
+    if matrices.size == 0:
+        return np.zeros(matrices.shape, dtype=np.complex128)
     with one_blas_thread(matrices.shape[0]):
         return np.asarray(expm(matrices), dtype=np.complex128)
+
+
+FAINT = 2.0**-64
+"""By which forcing is scaled down beside the states: then it has no say in how the exponential is computed."""
+
+
+def forced_exponentials(matrices: FloatArray, n: int) -> FloatArray:
+    """Exponentials of a stack of [[A, F], [0, 0]] with A (n, n), of which A's own do not depend on F.
+
+    A nilpotent A loses digits as soon as a forcing of its own size stands beside it.
+    """
+    faint = matrices.copy()
+    faint[..., :n, n:] *= FAINT
+    found = exponentials(faint)
+    found[..., :n, n:] /= FAINT
+    return found
 
 
 @final
@@ -74,6 +94,8 @@ class ScaledSteps(Value):
 def balancing_scales(A: FloatArray, durations: FloatArray) -> FloatArray:
     """Powers of two by which to divide the states so that all steps together are balanced, shape (n,)."""
     N, n = A.shape[:2]
+    if n == 0:
+        return np.ones(0)
     together = (durations @ np.abs(A).reshape(N, n * n)).reshape(n, n)
     scales: FloatArray = dgebal(together, scale=1, permute=0)[3]
     return scales
@@ -104,4 +126,5 @@ class StepMaps(Value):
 
 def step_maps(steps: ScaledSteps, durations: FloatArray) -> StepMaps:
     """Return the maps over all steps, (11) without its inverse."""
-    return StepMaps(maps=exponentials(steps.matrices * durations[:, None, None]), steps=steps)
+    maps = forced_exponentials(steps.matrices * durations[:, None, None], len(steps.scales))
+    return StepMaps(maps=maps, steps=steps)

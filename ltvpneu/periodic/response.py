@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import finite_array, whole
 from ltvpneu.periodic import bridge
-from ltvpneu.periodic.propagate import exponentials
+from ltvpneu.periodic.propagate import forced_exponentials
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 if TYPE_CHECKING:
@@ -58,7 +58,8 @@ def response(
         for duration in system.durations
     ]
     maps = [
-        exponentials(matrix * times[:, None, None]) for matrix, times in zip(steps.matrices, local_times, strict=True)
+        forced_exponentials(matrix * times[:, None, None], system.n_states)
+        for matrix, times in zip(steps.matrices, local_times, strict=True)
     ]
     times, states, outputs = [], [], []
     for period in range(n_periods):

@@ -17,7 +17,6 @@ from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_discrete_lyapunov
 
 from ltvpneu._arrays import ComplexArray, FloatArray, finite_array, read_only, solved
 from ltvpneu._values import Value
@@ -276,9 +275,9 @@ def _solved(steps: Scattering, system: PeriodicSystem, needed: str) -> _Solution
         step = Scattering(E=steps.E[k], G=steps.G[k], H=steps.H[k])
         factors[k] = step.closed_loop(after)
         found[k] = after = step.cost_before(after)
-    size = max(float(np.max(np.abs(X))), np.finfo(float).tiny)
+    size = max(float(np.max(np.abs(X), initial=0.0)), np.finfo(float).tiny)
     multipliers = from_logs(*log_multipliers(factors)).multipliers
-    return _Solution(found, multipliers, float(np.max(np.abs(found[0] - X))) / size)
+    return _Solution(found, multipliers, float(np.max(np.abs(found[0] - X), initial=0.0)) / size)
 
 
 def _doubled(total: Scattering) -> FloatArray | None:
@@ -286,10 +285,10 @@ def _doubled(total: Scattering) -> FloatArray | None:
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(60):
             before, total = total.H, total.then(total)
-            size = float(np.max(np.abs(total.H)))
+            size = float(np.max(np.abs(total.H), initial=0.0))
             if not (np.isfinite(total.E).all() and size < 1e150):
                 return None
-            if np.max(np.abs(total.H - before)) <= 4e-16 * size:
+            if np.max(np.abs(total.H - before), initial=0.0) <= 4e-16 * size:
                 return total.H
     return None
 
@@ -301,11 +300,21 @@ def _newton(total: Scattering, X: FloatArray) -> FloatArray | None:
         if _radius(loop) >= 1:
             return None
         before, weight = X, total.H + loop.T @ X @ total.G @ X @ loop
-        X = np.asarray(solve_discrete_lyapunov(loop.T, weight), dtype=np.float64)
-        X = (X + X.T) / 2
-        if np.max(np.abs(X - before)) <= 1e-14 * np.max(np.abs(X)):
+        X = _summed(loop, (weight + weight.T) / 2)
+        if np.max(np.abs(X - before), initial=0.0) <= 1e-14 * np.max(np.abs(X), initial=0.0):
             break
     return X
+
+
+def _summed(loop: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the sum of F'^k W F^k over all k for a stable F, by doubling: X of X = F' X F + W."""
+    total = weight
+    for _ in range(64):
+        total = total + loop.T @ total @ loop
+        loop = loop @ loop
+        if np.max(np.abs(loop), initial=0.0) < 1e-100:
+            break
+    return total
 
 
 def _is_stabilizing(total: Scattering, X: FloatArray) -> bool:

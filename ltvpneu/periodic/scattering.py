@@ -108,7 +108,7 @@ def _short_steps(A: FloatArray, G: FloatArray, Q: FloatArray, durations: FloatAr
     H = np.concatenate(
         [np.concatenate([A, -unit * G], axis=2), np.concatenate([-Q / unit, -_transposed(A)], axis=2)], axis=1
     )
-    largest = float(np.max(np.max(np.sum(np.abs(H), axis=1), axis=1) * durations))
+    largest = float(np.max(np.max(np.sum(np.abs(H), axis=1), axis=1, initial=0.0) * durations))
     doublings = max(0, math.ceil(math.log2(largest / HAMILTONIAN_STEP))) if largest > 0 else 0
     maps = exponentials(H * (durations / 2.0**doublings)[:, None, None])
     onward: FloatArray = np.asarray(np.linalg.inv(maps[:, n:, n:]), dtype=np.float64)

@@ -4,7 +4,9 @@ Orthogonal Q_k with Q_N = Q_0 turn each factor F_k into the upper triangular :ma
 eigenvalue of F_{N-1} ... F_0 is a product of diagonal entries, whose logarithms are summed. Two stages:
 
 1. *orthogonal iteration*: F_k Q_k = Q_{k+1} R_k, round and round. Eigenvalues of well separated moduli, which are the
-   rule in long products, separate at once, the largest first, and the grading keeps the small ones accurate;
+   rule in long products, separate at once, the largest first, and the grading keeps the small ones accurate. Each
+   row carries the logarithm of its size, and plane rotations form ratios of sizes only, so that a factor may hold
+   rows of any sizes, e^{-1e9} beside one;
 2. *shifted periodic QR* [Bojanczyk1992]_ on each diagonal block that does not separate (pairs, close moduli), in
    complex arithmetic with one implicit shift.
 
@@ -13,25 +15,93 @@ eigenvalue of F_{N-1} ... F_0 is a product of diagonal entries, whose logarithms
 """
 
 import math
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import final
 
 import numpy as np
 
 from ltvpneu._arrays import BoolArray, ComplexArray, FloatArray
-from ltvpneu._compiled import compiled
+from ltvpneu._compiled import compiled, inlined
+from ltvpneu._values import Value
+from ltvpneu.errors import StepOverflowError
 
 EPS = float(np.finfo(float).eps)
 MOST_SWEEPS = 12
 MOST_ITERATIONS = 60
 """Shifted steps for one eigenvalue before giving up; three are usual."""
+SMALLEST_PIVOT = 1e-250
+"""Against a row's largest entry: what is smaller counts as zero."""
+LARGEST_LOG = 300.0
+LARGEST_RANGE = 200.0
+"""Difference of the logarithms of a block's rows up to which its factors are formed as they stand."""
+
+
+@inlined
+def _rotate_graded(rows: FloatArray, logs: FloatArray, basis: FloatArray, i: int, j: int) -> None:
+    """Turn rows i and j of diag(exp(logs)) rows, in place, so that entry (j, i) vanishes; `basis` likewise.
+
+    Only ratios of the rows' sizes are formed. The smaller row loses its part along the larger one as in an elimination,
+    to its own last bit, however much smaller it is.
+    """
+    n = rows.shape[1]
+    if logs[j] > logs[i] or abs(rows[i, i]) < SMALLEST_PIVOT:
+        for k in range(n):
+            rows[i, k], rows[j, k] = rows[j, k], rows[i, k]
+            basis[i, k], basis[j, k] = basis[j, k], basis[i, k]
+        logs[i], logs[j] = logs[j], logs[i]
+        if abs(rows[j, i]) < SMALLEST_PIVOT:
+            rows[j, i] = 0.0
+            return
+    ratio = math.exp(min(logs[j] - logs[i], LARGEST_LOG))
+    size = math.hypot(rows[i, i], rows[j, i] * ratio)
+    c, s, share = rows[i, i] / size, rows[j, i] * ratio / size, rows[j, i] / size
+    for k in range(n):
+        upper, lower = rows[i, k], rows[j, k]
+        rows[i, k] = c * upper + s * ratio * lower
+        rows[j, k] = c * lower - share * upper
+        upper, lower = basis[i, k], basis[j, k]
+        basis[i, k] = c * upper + s * lower
+        basis[j, k] = c * lower - s * upper
+    rows[j, i] = 0.0
+
+
+@inlined
+def _even_out(row: FloatArray) -> float:
+    """Divide a row by its largest entry where that is far from one, in place, and return the logarithm of it."""
+    largest = 0.0
+    for k in range(row.size):
+        largest = max(largest, abs(row[k]))
+    if largest == 0.0 or 1e-60 < largest < 1e60:
+        return 0.0
+    for k in range(row.size):
+        row[k] /= largest
+    return math.log(largest)
 
 
 @compiled
-def _orthogonal_sweep(factors: FloatArray, basis: FloatArray, triangles: FloatArray) -> FloatArray:
-    """Write R_k of F_k Q_k = Q_{k+1} R_k into `triangles` and return Q_N; shapes (N, n, n), (n, n)."""
+def _orthogonal_sweep(
+    factors: FloatArray, row_logs: FloatArray, basis: FloatArray, triangles: FloatArray, logs: FloatArray
+) -> FloatArray:
+    """Write R_k and the logarithms of its rows, of F_k Q_k = Q_{k+1} R_k, and return Q_N.
+
+    F_k = diag(exp(row_logs)) factors[k] and R_k = diag(exp(logs)) triangles[k]; shapes (N, n, n), (N, n).
+    """
+    n = basis.shape[0]
     for k in range(factors.shape[0]):
-        orthogonal, triangles[k] = np.linalg.qr(np.dot(factors[k], basis))
-        basis = np.ascontiguousarray(orthogonal)
+        triangle, own = triangles[k], logs[k]
+        triangle[:] = np.dot(factors[k], basis)
+        own[:] = row_logs[k]
+        turned = np.eye(n)
+        for i in range(n):
+            own[i] += _even_out(triangle[i])
+        for i in range(n):
+            for j in range(i + 1, n):
+                if triangle[j, i] != 0.0:
+                    _rotate_graded(triangle, own, turned, i, j)
+                    own[i] += _even_out(triangle[i])
+                    own[j] += _even_out(triangle[j])
+        basis = np.ascontiguousarray(turned.T)
     return basis
 
 
@@ -46,13 +116,15 @@ def _splits(coupling: FloatArray) -> BoolArray:
 
 
 @compiled
-def _orthogonal_iteration(factors: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return R_k (N, n, n), the coupling Q_0' Q_N (n, n), and where the blocks that have separated start."""
+def _orthogonal_iteration(
+    factors: FloatArray, row_logs: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Return R_k (N, n, n), the logarithms of its rows (N, n), the coupling Q_0' Q_N (n, n), and where blocks start."""
     n = factors.shape[1]
-    basis, triangles = np.eye(n), np.empty_like(factors)
+    basis, triangles, logs = np.eye(n), np.empty_like(factors), np.empty_like(row_logs)
     coupling, cuts, unchanged = np.eye(n), np.zeros(n + 1, dtype=np.bool_), 0
     for _ in range(MOST_SWEEPS):
-        following = _orthogonal_sweep(factors, basis, triangles)
+        following = _orthogonal_sweep(factors, row_logs, basis, triangles, logs)
         coupling = np.dot(np.ascontiguousarray(basis.T), following)
         found = _splits(coupling)
         unchanged = unchanged + 1 if np.all(found == cuts) else 0
@@ -60,7 +132,7 @@ def _orthogonal_iteration(factors: FloatArray) -> tuple[FloatArray, FloatArray, 
         if np.all(cuts) or unchanged == 2:
             break
         basis = following
-    return triangles, coupling, cuts
+    return triangles, logs, coupling, cuts
 
 
 @compiled
@@ -238,30 +310,90 @@ def _of_block(triangles: FloatArray, coupling: FloatArray) -> tuple[FloatArray, 
 
 
 def _suspicious(triangles: FloatArray) -> BoolArray:
-    """Return which R_k have a diagonal entry that may be rounding: small against its column."""
+    """Return which R_k have a diagonal entry that may be rounding: small against its column, or against its row."""
     diagonals = np.abs(np.diagonal(triangles, axis1=1, axis2=2))
-    return (diagonals <= triangles.shape[1] * EPS * np.sqrt((triangles**2).sum(axis=1))).any(axis=1)
+    sizes = np.maximum(np.sqrt((triangles**2).sum(axis=1)), np.sqrt((triangles**2).sum(axis=2)))
+    return (diagonals <= 100 * triangles.shape[1] * EPS * sizes).any(axis=1)
 
 
-def log_eigenvalues(factors: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray, bool]:
-    """Return logarithms and angles of the eigenvalues of F_{N-1} ... F_0, maybe singular factors, and convergence.
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LogEigenvalues(Value):
+    """Eigenvalues of a product of factors, in the order of its periodic Schur form."""
+
+    log_moduli: FloatArray
+    """-inf for zero, (n,)."""
+    angles: FloatArray
+    """(n,)"""
+    growth: FloatArray
+    """What each factor adds to each logarithm, (N, n)."""
+    suspicious: BoolArray
+    """Which factors may be singular, (N,)."""
+    has_converged: bool
+
+
+def log_eigenvalues(factors: FloatArray, row_logs: FloatArray) -> LogEigenvalues:
+    """Return logarithms and angles of the eigenvalues of F_{N-1} ... F_0.
 
     Parameters
     ----------
     factors : ndarray, shape (N, n, n)
-        Contiguous, entries about one in size.
+    row_logs : ndarray, shape (N, n)
+        F_k = diag(exp(row_logs[k])) factors[k], so that no size is too large or too small.
     """
-    triangles, coupling, cuts = _orthogonal_iteration(np.array(factors, order="C"))
+    triangles, logs, coupling, cuts = _orthogonal_iteration(np.array(factors, order="C"), np.array(row_logs, order="C"))
     entries, converged = np.diagonal(triangles, axis1=1, axis2=2), True
     # Of blocks of one, which are the rule, the product of the diagonals.
     with np.errstate(divide="ignore"):
-        log_moduli = np.log(np.abs(entries)).sum(axis=0)
+        growth = np.log(np.abs(entries)) + logs
+    log_moduli = growth.sum(axis=0)
     negative = (entries < 0).sum(axis=0) + (np.diagonal(coupling) < 0)
     angles = np.where(negative % 2 == 1, np.pi, 0.0)
     starts = np.flatnonzero(cuts)
     for start, stop in pairwise(starts):
         if stop - start > 1:
             block = slice(start, stop)
-            found = _of_block(triangles[:, block, block], coupling[block, block])
-            log_moduli[block], angles[block], converged = found[0], found[1], converged and found[2]
-    return log_moduli, angles, _suspicious(triangles), converged
+            common = np.max(logs[:, block], axis=1)
+            evened, taken_out = _evened(triangles[:, block, block], logs[:, block] - common[:, None])
+            found = _of_block(evened, coupling[block, block])
+            log_moduli[block], angles[block] = found[0] + np.sum(common) + taken_out, found[1]
+            converged = converged and found[2]
+            growth[:, block] = np.mean(growth[:, block], axis=1)[:, None]
+    return LogEigenvalues(
+        log_moduli=log_moduli,
+        angles=angles,
+        growth=growth,
+        suspicious=_suspicious(triangles),
+        has_converged=converged,
+    )
+
+
+def _evened(triangles: FloatArray, logs: FloatArray) -> tuple[FloatArray, float]:
+    """Return moderate triangles and a logarithm for diag(exp(logs)) triangles, the logs at most zero.
+
+    The eigenvalues of the one product are those of the other times the exponential of that logarithm.
+
+    Where a row is smaller than double precision holds, the states between factors change their scales.
+
+    Raises
+    ------
+    StepOverflowError
+        Rows so coupled that no scales make all entries moderate.
+    """
+    if np.min(logs) > -LARGEST_RANGE:
+        return triangles * np.exp(logs)[:, :, None], 0.0
+    sizes = np.abs(np.diagonal(triangles, axis1=1, axis2=2))
+    growth = np.log(np.where(sizes > 0, sizes, 1.0)) + logs
+    mean = np.mean(growth, axis=1)
+    scales = np.concatenate([np.zeros((1, logs.shape[1])), np.cumsum(growth - mean[:, None], axis=0)])
+    # Back to the first scales after the last factor, whatever is left of them by then.
+    scales[-1] = 0.0
+    exponents = (logs - mean[:, None])[:, :, None] + scales[:-1, None, :] - scales[1:, :, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = np.where(triangles != 0, triangles * np.exp(exponents), 0.0)
+    if not np.isfinite(found).all():
+        raise StepOverflowError(
+            "multipliers of close moduli belong to states that grow and decay further, within the period, than double "
+            "precision holds, and back. Are A and the durations in the same units of time?"
+        )
+    return found, float(np.sum(mean))

@@ -101,7 +101,9 @@ def _periodic_states(system: PeriodicSystem, singular_below: float) -> FloatArra
     except np.linalg.LinAlgError:
         inverse = np.full_like(gap, np.inf)
     # No singular value of n x n entries is below one over n times the inverse's largest.
-    if n * np.abs(inverse).max(initial=0.0) * size * singular_below < 1:
+    with np.errstate(invalid="ignore", over="ignore"):
+        is_regular = n * np.abs(inverse).max(initial=0.0) * size * singular_below < 1
+    if is_regular:
         start = inverse @ one.rhs
         return one.all_from(start, start)[:-1, :, 0] * maps.steps.scales
     left, values, right = np.linalg.svd(gap)

@@ -21,6 +21,7 @@ from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.bridge import CONSTANT_INPUT
 from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step_maps
+from ltvpneu.periodic.stiff import NORM_OF_A_PIECE, Factors, step_factors
 
 if TYPE_CHECKING:
     import control
@@ -70,8 +71,6 @@ class Step(Value):
 
 GROWTH = 1e3
 """Largest entry of a step's balanced transition matrix that costs no accuracy worth naming."""
-NORM_OF_A_PIECE = 4.0
-"""Norm of A times duration up to which a step is taken in one where the small directions count."""
 MOST_PIECES = 1 << 17
 """Pieces into which stiff steps are split before pieces of a greater norm are taken."""
 
@@ -273,6 +272,14 @@ class PeriodicSystem(Value):
         repeated = {field: np.repeat(getattr(self, field), counts, axis=0) for field in ("A", "B", "r", "C", "D", "q")}
         return replace(self, durations=np.repeat(self.durations / counts, counts), **repeated)
 
+    def without_empty_steps(self) -> "PeriodicSystem":
+        """Return the system without its steps of no duration."""
+        kept = self.durations > 0
+        if kept.all():
+            return self
+        parts = {field: getattr(self, field)[kept] for field in ("durations", "A", "B", "r", "C", "D", "q")}
+        return replace(self, **parts)
+
     @cached_property
     def growing_pieces(self) -> IntArray:
         """Number of equal pieces to take each step in, shape (n_steps,); one unless the state grows by `GROWTH`."""
@@ -306,6 +313,11 @@ class PeriodicSystem(Value):
                 "the same units of time? Else drop the fastest states"
             )
         return np.maximum(np.ceil(norms / limit), 1).astype(np.int64)
+
+    @cached_property
+    def factors(self) -> Factors:
+        """Factors of the transition matrices of all steps, in balanced coordinates, that no stiffness spoils."""
+        return step_factors(self.scaled.matrices[:, :-1, :-1], self.durations)
 
     @cached_property
     def _maps(self) -> StepMaps:

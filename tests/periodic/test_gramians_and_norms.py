@@ -276,10 +276,10 @@ def test_a_factor_keeps_directions_that_its_square_loses():
 # -----------------------------------------------------------------------------------------------------------------
 
 
-def test_unstable_and_marginal_systems_have_infinite_norms_and_no_gramians():
+def test_unstable_and_bounded_systems_have_infinite_norms_and_no_gramians():
     for pole in (0.3, 0.0):
         system = lp.PeriodicSystem.from_matrices([[[pole]]] * 2, [[0.0]] * 2, [0.5, 0.5], B=[[[1.0]]] * 2)
-        verdict = "unstable" if pole else "marginal"
+        verdict = "unstable" if pole else "bounded"
         for norm in (lp.h2_norm, lp.hinf_norm, lp.hankel_norm):
             assert norm(system) == math.inf
         for function in (lp.gramians, lambda s: lp.lyapunov(s, [[1.0]]), lambda s: lp.lyapunov_factors(s, [[1.0]])):

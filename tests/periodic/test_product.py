@@ -1,6 +1,8 @@
 """Eigenvalues of long products: against mpmath in hundreds of digits, against SLICOT, and where doubles end."""
 
 import math
+import warnings
+from fractions import Fraction
 
 import ctrlsys
 import mpmath
@@ -140,7 +142,7 @@ def test_real_and_conjugate_multipliers_are_so_to_the_last_bit():
     [
         ([[[1.0, np.nan], [0.0, 1.0]]], r"factors: found nan at index \(0, 0, 1\)"),
         ([[[1.0, np.inf], [0.0, 1.0]]], "factors: found inf at index"),
-        ([np.eye(2), np.eye(3)], "factors: expected numbers in a regular array"),
+        ([np.eye(2), np.eye(3)], r"factors: found shape \(2, 2\) of factors\[0\] and \(3, 3\)"),
         (np.ones((3, 2, 4)), r"factors: found shape \(3, 2, 4\), expected one or more square"),
         ([], "factors: found shape"),
         ([np.eye(2) * 1j], "factors: found complex numbers"),
@@ -149,3 +151,89 @@ def test_real_and_conjugate_multipliers_are_so_to_the_last_bit():
 def test_bad_factors_are_named(factors, message):
     with pytest.raises(ValueError, match=message):
         lp.product_multipliers(factors)
+
+
+def _rank(rows):
+    """Rank of a matrix of fractions, by elimination."""
+    rows, rank = [list(row) for row in rows], 0
+    for column in range(len(rows[0])):
+        pivot = next((i for i in range(rank, len(rows)) if rows[i][column] != 0), None)
+        if pivot is None:
+            continue
+        rows[rank], rows[pivot] = rows[pivot], rows[rank]
+        for i in range(rank + 1, len(rows)):
+            share = rows[i][column] / rows[rank][column]
+            rows[i] = [x - share * y for x, y in zip(rows[i], rows[rank], strict=True)]
+        rank += 1
+    return rank
+
+
+def _product(a, b):
+    return [[sum(x * y for x, y in zip(row, column, strict=True)) for column in zip(*b, strict=True)] for row in a]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_every_exact_zero_of_a_singular_product_is_found(seed):
+    """Zeros counted in fractions: n less the rank of the n-th power of the product."""
+    rng = np.random.default_rng(seed)
+    n, N = int(rng.integers(2, 6)), int(rng.integers(1, 5))
+    factors = rng.integers(-4, 5, (N, n, n)).astype(float)
+    k = rng.integers(N)
+    factors[k, -1] = factors[k, 0] * rng.integers(-2, 3)
+    product = [[Fraction(int(i == j)) for j in range(n)] for i in range(n)]
+    for factor in factors:
+        product = _product([[Fraction(int(x)) for x in row] for row in factor], product)
+    power = product
+    for _ in range(n - 1):
+        power = _product(power, product)
+    n_zero = n - _rank(power)
+    found = lp.product_multipliers(factors)
+    assert np.isneginf(found.log_moduli).sum() == n_zero
+    plain = np.sort(np.abs(np.linalg.eigvals(np.array(product, dtype=float))))[::-1][: n - n_zero]
+    np.testing.assert_allclose(np.exp(found.log_moduli[: n - n_zero]), plain, rtol=1e-7)
+
+
+@pytest.mark.parametrize("size", [1e160, 1e300])
+@pytest.mark.parametrize("side", ["rows", "columns"])
+def test_factors_of_entries_at_the_ends_of_double_precision_have_right_logarithms(size, side):
+    """A graded product has its largest and smallest multipliers by minors: F_11 of all, and the determinants."""
+    rng = np.random.default_rng(3)
+    grades = np.diag([size, 1.0, 1 / size])
+    mixed = [np.eye(3) + 0.1 * rng.random((3, 3)) for _ in range(3)]
+    factors = [grades @ one if side == "rows" else one @ grades for one in mixed]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = lp.product_multipliers(factors)
+    # Minors of leading rows and columns, each relative to the last; what they leave out is a 1e-160th of it.
+    minors = np.array([[np.linalg.det(one[:k, :k]) for k in range(1, 4)] for one in mixed])
+    shares = (
+        np.log(minors[:, 0]).sum(),
+        np.log(minors[:, 1] / minors[:, 0]).sum(),
+        np.log(minors[:, 2] / minors[:, 1]).sum(),
+    )
+    right = np.array(shares) + 3 * math.log(size) * np.array([1, 0, -1])
+    np.testing.assert_allclose(found.log_moduli, right, atol=1e-11)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_rectangular_factors_have_the_multipliers_of_their_product(seed):
+    rng = np.random.default_rng(seed)
+    N = int(rng.integers(2, 6))
+    sizes = rng.integers(1, 6, N)
+    factors = [rng.standard_normal((sizes[(k + 1) % N], sizes[k])) for k in range(N)]
+    product = np.eye(sizes[0])
+    for factor in factors:
+        product = factor @ product
+    found = lp.product_multipliers(factors)
+    plain = np.linalg.eigvals(product)
+    assert found.multipliers.shape == (sizes[0],)
+    assert np.isneginf(found.log_moduli).sum() == sizes[0] - sizes.min()
+    largest = np.sort(np.abs(plain))[::-1][: sizes.min()]
+    np.testing.assert_allclose(np.exp(found.log_moduli[: sizes.min()]), largest, rtol=1e-8)
+
+
+def test_rectangular_factors_that_do_not_follow_each_other_are_refused():
+    with pytest.raises(ValueError, match=r"found shape \(2, 3\) of factors\[0\] and \(3, 3\) of factors\[1\]"):
+        lp.product_multipliers([np.ones((2, 3)), np.ones((3, 3))])
+    with pytest.raises(ValueError, match=r"found shape \(4, 3\) of factors\[1\] and \(3, 2\) of the first one"):
+        lp.product_multipliers([np.ones((3, 2)), np.ones((4, 3))])
