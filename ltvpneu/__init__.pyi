@@ -65,6 +65,7 @@ from .periodic.gramians import gramians as gramians
 from .periodic.harmonic import frequency_response as frequency_response
 from .periodic.harmonic import harmonic_transfer as harmonic_transfer
 from .periodic.hinf import hinf_norm as hinf_norm
+from .periodic.interconnect import append as append
 from .periodic.interconnect import feedback as feedback
 from .periodic.interconnect import parallel as parallel
 from .periodic.interconnect import series as series

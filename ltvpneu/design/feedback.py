@@ -166,7 +166,7 @@ class ClosedLoop(Value):
 
 def simulate_closed_loop(
     machine: Machine,
-    controller: "Controller | control.StateSpace",
+    controller: "Controller | control.StateSpace | control.TransferFunction",
     reference: float | Sequence[float] | FloatArray,
     frequency: float,
     *,
@@ -179,7 +179,7 @@ def simulate_closed_loop(
     ----------
     machine : Machine
         Its own duty is that of the periods before the controller's first command arrives.
-    controller : callable or control.StateSpace
+    controller : callable, control.StateSpace or control.TransferFunction
         From a `Measurement` to a duty; or a discrete-time system of one input, the error of the mean position [m], and
         one output, which is added to the machine's duty. Its dt must be the period.
     reference : array_like, shape (n_periods,)
@@ -249,16 +249,18 @@ def simulate_closed_loop(
 
 
 def _is_system(controller: object) -> bool:
-    return hasattr(controller, "A") and hasattr(controller, "dt")
+    return hasattr(controller, "dt") and (hasattr(controller, "A") or hasattr(controller, "num"))
 
 
 def _law(system: Any, duty: float, period: float) -> Controller:
     if not _is_system(system):
         raise TypeError(
-            f"controller: found {type(system).__name__}, expected a function of a Measurement, or a control.StateSpace"
+            f"controller: found {type(system).__name__}, expected a function of a Measurement, a control.StateSpace or "
+            "a control.TransferFunction"
         )
-    if system.dt is True or not np.isclose(float(system.dt), period, rtol=1e-9):
+    if system.dt is True or system.dt is None or not np.isclose(float(system.dt), period, rtol=1e-9):
         raise ValueError(f"controller: found dt = {system.dt}, expected the period, {period:g} s")
+    system = bridge.as_state_space(system)
     A, B, C, D = (np.asarray(matrix, dtype=np.float64) for matrix in (system.A, system.B, system.C, system.D))
     if D.shape != (1, 1):
         raise ValueError(f"controller: found {D.shape[1]} inputs and {D.shape[0]} outputs, expected one of each")

@@ -89,6 +89,13 @@ def frequency_response(
     )
 
 
+def as_state_space(system: Any) -> "control.StateSpace":
+    """Return a `control.StateSpace` or `control.TransferFunction` as the former."""
+    import control
+
+    return control.ss(system) if isinstance(system, control.TransferFunction) else system
+
+
 Names = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 """Of states, inputs and outputs."""
 

@@ -144,6 +144,22 @@ class Floquet(Value):
         return found
 
     @property
+    def natural_frequencies(self) -> FloatArray:
+        """Moduli of the exponents [rad/s], shape (n,); as of the poles in `control.damp`."""
+        return np.hypot(self.exponents.real, self.exponents.imag)
+
+    @property
+    def damping_ratios(self) -> FloatArray:
+        """Of the exponents, from -1, growing without a swing, to 1, decaying without one [-]; nan for zero; (n,)."""
+        ratios = np.full(self.log_moduli.size, np.nan)
+        finite = np.isfinite(self.log_moduli)
+        np.divide(
+            -self.exponents.real, self.natural_frequencies, out=ratios, where=finite & (self.natural_frequencies > 0)
+        )
+        ratios[~finite] = 1.0
+        return ratios
+
+    @property
     def spectral_radius(self) -> float:
         """Largest modulus [-]; infinite where it is beyond double precision, zero without states."""
         if self.log_moduli.size == 0:

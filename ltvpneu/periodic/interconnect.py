@@ -105,6 +105,46 @@ def parallel(first: Any, second: Any) -> PeriodicSystem:
     )
 
 
+def append(first: Any, second: Any) -> PeriodicSystem:
+    """Return both systems side by side, each with its own inputs and outputs; as `control.append`.
+
+    Parameters
+    ----------
+    first, second : PeriodicSystem, control.StateSpace or array_like
+        One at least a `PeriodicSystem`.
+
+    Raises
+    ------
+    ValueError
+        Periods that are not commensurate.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> pulse = lp.PeriodicSystem.from_matrices([[[-1.0]]] * 2, [[1.0], [0.0]], [0.1, 0.9], B=[[[1.0]]] * 2)
+    >>> lp.append(pulse, [[2.0]]).outputs
+    ('z1', 'y1')
+    """
+    a, b = _together(first, second)
+    N, p_a, p_b, m_a, m_b = a.n_steps, len(a.outputs), len(b.outputs), len(a.inputs), len(b.inputs)
+    n_a, n_b = a.n_states, b.n_states
+    return _joined(
+        (a, b),
+        A=_blocks(a.A, np.zeros((N, n_a, n_b)), np.zeros((N, n_b, n_a)), b.A),
+        B=_blocks(a.B, np.zeros((N, n_a, m_b)), np.zeros((N, n_b, m_a)), b.B),
+        r=np.concatenate([a.r, b.r], axis=1),
+        C=_blocks(a.C, np.zeros((N, p_a, n_b)), np.zeros((N, p_b, n_a)), b.C),
+        D=_blocks(a.D, np.zeros((N, p_a, m_b)), np.zeros((N, p_b, m_a)), b.D),
+        q=np.concatenate([a.q, b.q], axis=1),
+        ports=(
+            _told_apart(a.inputs, b.inputs, (a, b)),
+            _told_apart(a.outputs, b.outputs, (a, b)),
+            np.concatenate([a.levels, b.levels]),
+        ),
+        name=f"{a.name}_and_{b.name}",
+    )
+
+
 def feedback(first: Any, second: Any, sign: float = -1) -> PeriodicSystem:
     """Return the first system with the second from its outputs back to its inputs; as `control.feedback`.
 
@@ -239,13 +279,21 @@ def _joined(
 ) -> PeriodicSystem:
     a, b = operands
     inputs, outputs, levels = ports
-    states = (*a.states, *b.states)
-    if len(set(states)) < len(states):
-        labels = (a.name, b.name) if a.name != b.name else (f"{a.name}_1", f"{b.name}_2")
-        states = tuple(f"{label}_{state}" for label, x in zip(labels, operands, strict=True) for state in x.states)
+    states = _told_apart(a.states, b.states, operands)
     return PeriodicSystem(
         durations=a.durations, levels=levels, states=states, inputs=inputs, outputs=outputs, name=name, **matrices
     )
+
+
+def _told_apart(
+    first: tuple[str, ...], second: tuple[str, ...], operands: tuple[PeriodicSystem, PeriodicSystem]
+) -> tuple[str, ...]:
+    """Return names of both systems, each after its system's name where some are the same."""
+    if not set(first) & set(second):
+        return (*first, *second)
+    a, b = operands
+    labels = (a.name, b.name) if a.name != b.name else (f"{a.name}_1", f"{b.name}_2")
+    return tuple(f"{label}_{name}" for label, names in zip(labels, (first, second), strict=True) for name in names)
 
 
 def _blocks(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:

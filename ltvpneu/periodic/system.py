@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import FloatArray, IntArray, finite_array, read_only
+from ltvpneu._arrays import FloatArray, IntArray, finite_array, positive, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.bridge import CONSTANT_INPUT
 from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step_maps
+from ltvpneu.periodic.smooth import Function, smooth_steps
 from ltvpneu.periodic.stiff import NORM_OF_A_PIECE, Factors, step_factors
 
 if TYPE_CHECKING:
@@ -206,6 +207,57 @@ class PeriodicSystem(Value):
             inputs=tuple(f"u{i + 1}" for i in range(m)),
             outputs=states if C is None else tuple(f"y{i + 1}" for i in range(p)),
         )
+
+    @classmethod
+    def from_function(
+        cls,
+        A: Function,
+        period: float,
+        f: Function | None = None,
+        *,
+        B: Function | None = None,
+        rtol: float = 1e-9,
+    ) -> "PeriodicSystem":
+        """Return the system of smooth coefficients A(t), as steps that keep a tolerance; outputs are the states.
+
+        Fourth order, by steps of the lengths that the coefficients ask for. Exact to `rtol` are the maps from step
+        to step, and so multipliers and the states at the starts of steps; within a step the course is that of constant
+        coefficients.
+
+        Parameters
+        ----------
+        A : callable
+            From the time within the period [s] to (n, n). Smooth; of coefficients that jump, `from_matrices` has the
+            steps.
+        period : float
+            [s]
+        f, B : callable, optional
+            Likewise, to (n,) and (n, m).
+        rtol : float
+            Error of the map over the period, relative to the largest maps of its parts.
+
+        Raises
+        ------
+        NotConvergedError
+            The coefficients change too fast, or jump.
+        ValueError
+            Coefficients that are not finite, or of shapes that do not fit.
+
+        Examples
+        --------
+        Mathieu's equation z'' + (1 + 0.4 cos t) z = 0:
+
+        >>> import math
+        >>> import ltvpneu as lp
+        >>> system = lp.PeriodicSystem.from_function(
+        ...     lambda t: [[0.0, 1.0], [-1.0 - 0.4 * math.cos(t), 0.0]], 2 * math.pi)
+        >>> print(f"{float(lp.monodromy(system).trace()):.6f}")
+        2.008746
+        """
+        durations, parts = smooth_steps(A, f, B, positive("period", period, "s"), positive("rtol", rtol))
+        n = parts.shape[1]
+        inputs = None if B is None else parts[:, :, n:-1]
+        return cls.from_matrices(parts[:, :, :n], parts[:, :, -1], durations, B=inputs)
 
     def with_levels(self, levels: ArrayLike) -> "PeriodicSystem":
         """Return the system with other values of its inputs, shape (m,)."""

@@ -160,3 +160,18 @@ def test_a_box_is_refused_where_it_would_not_bound_what_the_machine_does(table_1
     for machine in (table_1.with_thermal("adiabatic"), table_1.with_collapse("dynamic")):
         with pytest.raises(ValueError, match="expected a box over position and one pressure a chamber"):
             design.operating_box(machine, position=(0.02, 0.06))
+
+
+def test_the_dwell_time_is_that_of_the_tight_inequalities():
+    """Example of [Geromel2006]: 2.751 s by their inequalities; switching every 2.677 s can be unstable."""
+    matrices = np.array([[[0.0, 1.0], [-10.0, -1.0]], [[0.0, 1.0], [-0.1, -0.5]]])
+    found = design.common_lyapunov(matrices)
+    assert found.kind == "dwell time"
+    assert found.decay_rate > 0
+    assert found.dwell_time == pytest.approx(2.751, abs=1e-3)
+    maps = [expm(A * found.dwell_time) for A in matrices]
+    for (A, P), map_, other in zip(
+        zip(matrices, found.functions, strict=True), maps, found.functions[::-1], strict=True
+    ):
+        assert np.linalg.eigvalsh(A.T @ P + P @ A).max() < 0
+        assert np.linalg.eigvalsh(map_.T @ other @ map_ - P).max() < 0

@@ -165,3 +165,15 @@ def test_bad_controllers_are_named(machine):
         design.duty_model(machine, FREQUENCY, inputs=["dutty"])
     with pytest.raises(ValueError, match="delay"):
         design.ValveLimits(delay=-1)
+
+
+def test_a_transfer_function_is_a_controller_like_its_state_space():
+    table_1 = lp.load_machine("kunt_singh_1990")
+    integrator = ct.tf([2.0, 0.0], [1.0, -1.0], 1 / 15)
+    done, same = (
+        design.simulate_closed_loop(table_1, law, [0.045] * 30, 15.0) for law in (integrator, ct.ss(integrator))
+    )
+    np.testing.assert_allclose(done.mean_positions, same.mean_positions, rtol=1e-9)
+    assert done.mean_positions[-1] == pytest.approx(0.045, abs=1e-4)
+    with pytest.raises(ValueError, match=r"controller: found dt = 0, expected the period"):
+        design.simulate_closed_loop(table_1, ct.tf([1.0], [1.0, 1.0]), [0.045] * 3, 15.0)
