@@ -38,7 +38,7 @@ from scipy.linalg import eigh
 from ltvpneu._arrays import FloatArray, finite_array, read_only
 from ltvpneu._values import Value
 from ltvpneu.models.linear.model import LtvModel
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.tangent import tangents
 from ltvpneu.periodic.propagate import balancing_scales, exponentials
 from ltvpneu.periodic.system import PeriodicSystem
@@ -173,8 +173,9 @@ def _least_dwell(matrices: FloatArray, dwell: float, functions: FloatArray) -> t
         falls = [maps[i].T @ P[j] @ maps[i] - P[i] << -slack * identity for i, j in permutations(range(N), 2)]
         with suppress(CvxpySolverError):
             cp.Problem(cp.Maximize(slack), fixed + falls).solve(solver=cp.CLARABEL)
-        found = None if any(Q.value is None for Q in P) else np.array([0.5 * (Q.value + Q.value.T) for Q in P])
-        if found is not None and _shows_dwell(matrices, maps, found):
+        values = [np.asarray(Q.value, dtype=np.float64) for Q in P if Q.value is not None]
+        found = np.array([0.5 * (value + value.T) for value in values])
+        if len(values) == N and _shows_dwell(matrices, maps, found):
             high, functions = middle, found
         else:
             low = middle
@@ -309,6 +310,7 @@ def operating_box(
     >>> box.shape
     (4, 3, 3)
     """
+    expect_machine(machine)
     if len(machine.states) != 2 + len(machine.cylinder.chambers) or any(
         path.source >= 0 for path in machine.path_fields
     ):

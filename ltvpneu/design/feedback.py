@@ -18,7 +18,7 @@ from ltvpneu._values import Value
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.models.cycles.sensitivity import nonlinear_jacobians
 from ltvpneu.models.cycles.turns import TOLERANCE
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.method import DormandPrince, integration_settings
@@ -78,6 +78,7 @@ def duty_model(
     >>> print(f"{1e3 * model.dcgain()[1, 0]:.0f} mm per unit of duty")
     108 mm per unit of duty
     """
+    expect_machine(machine)
     if duty is not None:
         machine = machine.with_duty(duty)
     for name in inputs:
@@ -196,6 +197,7 @@ def simulate_closed_loop(
     ValueError
         A command that is not a finite number, a controller of another dt, arguments out of range.
     """
+    expect_machine(machine)
     period = 1 / positive("frequency", frequency, "Hz")
     wanted = finite_array("reference", np.atleast_1d(np.asarray(reference, dtype=np.float64)), (None,))
     if wanted.size == 0:

@@ -23,7 +23,7 @@ from ltvpneu.models.cycles.orbit_map import MAP_SPREAD, grid_of
 from ltvpneu.models.linear.ltv import ltv_model
 from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.linear.modes import OperatingPoints
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.nonlinear.attractors import attractors
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
 
@@ -134,6 +134,7 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
     >>> found.is_stable.all(), found.is_certified.all()
     (np.True_, np.True_)
     """
+    expect_machine(machine)
     duty_grid, frequency_grid = grid_of(duties, frequencies)
     shape = (frequency_grid.size, duty_grid.size)
     models, failures = dict[tuple[int, int], LtvModel](), list[FailedPoint]()

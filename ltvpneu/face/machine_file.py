@@ -21,7 +21,7 @@ from ltvpneu.face.machine_keys import (
 )
 from ltvpneu.face.machine_table import File, ambient_of, build, read_pair, read_table
 from ltvpneu.face.machine_text import machine_text, parsed
-from ltvpneu.face.units import Dimension
+from ltvpneu.face.units import Dimension, cut
 from ltvpneu.face.valve_tables import energy_balances, read_more_valves, read_path, read_rigid_volume, read_valve
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.physics.catalog import catalog_cylinder
@@ -69,7 +69,7 @@ def parse_machine(text: str, name: str) -> Machine:
     top.pop("source", None)
     if (version := top.pop("schema", SCHEMA)) != SCHEMA:
         raise MachineFileError(
-            f"{file}: schema: found {version}, expected {SCHEMA}; this file is for another version of ltvpneu"
+            f"{file}: schema: found {cut(version)}, expected {SCHEMA}; this file is for another version of ltvpneu"
         )
     medium = _medium(top, file)
     tanks = tuple(read_rigid_volume(entry, file, f"volumes[{i}]") for i, entry in enumerate(top.pop("volumes", [])))

@@ -7,7 +7,7 @@ from typing import Any, TypeVar, cast, final
 from ltvpneu.errors import MachineFileError
 from ltvpneu.face.machine_keys import Key, Kind
 from ltvpneu.face.machine_text import nearest
-from ltvpneu.face.units import Dimension, parse
+from ltvpneu.face.units import Dimension, cut, parse
 from ltvpneu.physics.cylinder import ATMOSPHERE
 
 T = TypeVar("T")
@@ -25,15 +25,18 @@ class File:
         return self.name
 
 
+LONGEST_KEY = 60
+
+
 def read_table(data: object, keys: Mapping[str, Key], file: File, where: str) -> dict[str, Any]:
     """Return a table's entries in SI units, after checking that all are known, complete and of the right kind."""
     prefix = f"{where}." if where else ""
     if not isinstance(data, dict):
-        raise MachineFileError(f"{file}: {where}: found {data!r}, expected a table")
+        raise MachineFileError(f"{file}: {where}: found {cut(data)}, expected a table")
     for key in data:
         if key not in keys:
             raise MachineFileError(
-                f"{file}: {prefix}{key}: unknown key{nearest(key, tuple(keys))}; expected {', '.join(keys)}"
+                f"{file}: {prefix}{_named(key)}: unknown key{nearest(key, tuple(keys))}; expected {', '.join(keys)}"
             )
     for key, spec in keys.items():
         if spec.required and key not in data:
@@ -50,7 +53,7 @@ def _chosen(value: object, key: Key, file: File, where: str) -> Any:
         words = ", ".join(f'"{word}"' for word in key.choices)
         other = "" if key.kind is str else f", or {_kind_name(key.kind)}"
         close = nearest(value, key.choices) if isinstance(value, str) else ""
-        raise MachineFileError(f"{file}: {where}: found {value!r}{close}, expected one of {words}{other}")
+        raise MachineFileError(f"{file}: {where}: found {cut(value)}{close}, expected one of {words}{other}")
     return read_entry(value, key.kind, file, where)
 
 
@@ -58,12 +61,19 @@ def read_entry(value: object, kind: Kind, file: File, where: str) -> Any:
     """Return a value of a kind, a quantity in SI units."""
     if isinstance(kind, type):
         if not isinstance(value, kind):
-            raise MachineFileError(f"{file}: {where}: found {value!r}, expected {_kind_name(kind)}")
+            raise MachineFileError(f"{file}: {where}: found {cut(value)}, expected {_kind_name(kind)}")
+        if isinstance(value, str) and not value.isprintable():
+            raise MachineFileError(f"{file}: {where}: found {cut(value)}, expected text without control characters")
         return value
     try:
         return parse(value, kind, file.ambient)
     except ValueError as error:
         raise MachineFileError(f"{file}: {where}: {error}") from None
+
+
+def _named(key: str) -> str:
+    """Return a key as a message may show it."""
+    return key if key.isprintable() and len(key) < LONGEST_KEY else cut(key)
 
 
 def ambient_of(data: dict[str, Any], file: str) -> float:
@@ -114,5 +124,5 @@ def _kind_name(kind: Kind) -> str:
 def read_pair(entry: Any, kinds: tuple[Dimension, Dimension], file: File, where: str) -> tuple[Any, Any]:
     """Return two quantities that stand in one array."""
     if not isinstance(entry, list) or len(pair := cast(list[Any], entry)) != 2:
-        raise MachineFileError(f"{file}: {where}: found {entry!r}, expected two: {kinds[0]}, {kinds[1]}")
+        raise MachineFileError(f"{file}: {where}: found {cut(entry)}, expected two: {kinds[0]}, {kinds[1]}")
     return read_entry(pair[0], kinds[0], file, where), read_entry(pair[1], kinds[1], file, where)

@@ -8,6 +8,9 @@ from typing import Any
 
 from ltvpneu.errors import MachineFileError
 
+LARGEST_FILE = 1_000_000
+"""[byte]; the largest bundled machine has four thousand."""
+
 
 def bundled_machines() -> tuple[str, ...]:
     """Return the names of the machines that come with the package."""
@@ -29,11 +32,9 @@ def machine_text(source: str | Path) -> tuple[str, str]:
         No such file or bundled machine, or it cannot be read.
     """
     path = Path(source)
-    if path.suffix == ".toml" or path.is_file():
-        try:
-            return path.read_text(encoding="utf-8"), path.name
-        except (OSError, UnicodeDecodeError) as error:
-            raise MachineFileError(f"{path}: cannot be read ({error}), expected a machine file") from error
+    # A bundled name means the bundled machine, whatever lies in the working folder.
+    if str(source) not in bundled_machines() and (path.suffix == ".toml" or path.exists()):
+        return _text_of(path), path.name
     name = str(source)
     if name not in bundled_machines():
         raise MachineFileError(
@@ -43,12 +44,36 @@ def machine_text(source: str | Path) -> tuple[str, str]:
     return (resources.files("ltvpneu") / "machines" / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml"
 
 
+def _text_of(path: Path) -> str:
+    """Return the text of a regular file of a moderate size; a byte-order mark is dropped."""
+    if path.exists() and not path.is_file():
+        kind = "a folder" if path.is_dir() else "no regular file"
+        raise MachineFileError(f"{path}: cannot be read: found {kind}, expected a machine file")
+    try:
+        size = path.stat().st_size
+        text = path.read_text(encoding="utf-8-sig") if size <= LARGEST_FILE else ""
+    except (OSError, UnicodeDecodeError) as error:
+        raise MachineFileError(f"{path}: cannot be read ({error}), expected a machine file") from error
+    if size > LARGEST_FILE:
+        raise MachineFileError(
+            f"{path}: found {size / 1e6:.1f} MB, expected a machine file, of {LARGEST_FILE / 1e6:g} MB at most"
+        )
+    return text
+
+
 def parsed(text: str, name: str) -> dict[str, Any]:
     """Return the tables of a TOML text; `name` is what errors call it."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise MachineFileError(f"{name}: not valid TOML: {error}") from error
+    except RecursionError:
+        raise MachineFileError(
+            f"{name}: found arrays or tables nested hundreds deep, expected three levels at most"
+        ) from None
+    except ValueError as error:
+        # Python refuses whole numbers of thousands of digits.
+        raise MachineFileError(f"{name}: found a number that cannot be read ({error})") from None
 
 
 def nearest(name: str, known: tuple[str, ...]) -> str:

@@ -3,6 +3,7 @@
 Plain numbers are SI. Pressures are absolute; the suffix (g) marks a gauge pressure, over the ambient pressure.
 """
 
+import math
 import re
 from typing import Literal
 
@@ -55,6 +56,11 @@ _EXAMPLES: dict[Dimension, str] = {
     "heat transfer coefficient": "60 W/(m^2 K)", "density": "860 kg/m^3", "viscosity": "27.5 mPa s",
     "sonic conductance": "0.7 dm^3/(s bar)", "volume flow": "500 l/min", "time": "12 ms", "number": "0.5",
 }  # fmt: skip
+LARGEST = 1e30
+"""No quantity of a machine in SI units is beyond it."""
+LONGEST_SHOWN = 80
+"""Characters of a value in a message."""
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*(?:[^\d\s,]|$)")
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*(.*?)\s*$")
 
 
@@ -80,15 +86,21 @@ def parse(value: object, dimension: Dimension, ambient: float = ATMOSPHERE) -> f
     >>> round(parse("8.2 cm^3", "volume"), 9), parse("20 degC", "temperature"), parse("3.1 bar(g)", "pressure")
     (8.2e-06, 293.15, 411325.0)
     """
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
     hint = f"expected {_a(dimension)}, such as {_EXAMPLES[dimension]!r} or a plain number in SI units"
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if abs(value) > LARGEST and value not in (math.inf, -math.inf):
+            raise ValueError(f"found {cut(value)}, {hint}, not beyond {LARGEST:g}")
+        return float(value)
     if not isinstance(value, str):
-        raise ValueError(f"found {value!r}, {hint}")
+        raise ValueError(f"found {cut(value)}, {hint}")
     match = _QUANTITY.match(value)
     if match is None:
-        raise ValueError(f"found {value!r}, which does not begin with a number, {hint}")
+        raise ValueError(f"found {cut(value)}, which does not begin with a number, {hint}")
+    if _DECIMAL_COMMA.match(value):
+        raise ValueError(f"found {cut(value)} with a decimal comma; write a point: {cut(value.replace(',', '.', 1))}")
     number, unit = float(match[1]), _normal(match[2])
+    if LARGEST < abs(number) < math.inf:
+        raise ValueError(f"found {cut(value)}, {hint}, not beyond {LARGEST:g}")
     offset = 0.0
     if unit.endswith("(g)") or unit in ("barg", "psig"):
         unit, offset = (unit[:-3] if unit.endswith("(g)") else unit[:-1]), ambient
@@ -96,15 +108,26 @@ def parse(value: object, dimension: Dimension, ambient: float = ATMOSPHERE) -> f
         unit = unit[:-3]
     unit = unit.strip()
     if unit == "" and dimension != "number":
-        raise ValueError(f"found {value!r} without a unit, {hint}")
+        raise ValueError(f"found {cut(value)} without a unit, {hint}")
     if (offset or match[2].endswith("(a)")) and unit not in _UNITS["pressure"]:
-        raise ValueError(f"found {value!r}: only a pressure is gauge (g) or absolute (a); {hint}")
+        raise ValueError(f"found {cut(value)}: only a pressure is gauge (g) or absolute (a); {hint}")
     if unit in _UNITS[dimension]:
         return number * _UNITS[dimension][unit] + offset + (_ZERO_POINTS[unit] if dimension == "temperature" else 0.0)
     for other, units in _UNITS.items():
         if unit in units:
-            raise ValueError(f"found {value!r}, {_a(other)}, {hint}")
-    raise ValueError(f"found {value!r} with the unknown unit {unit!r}, {hint}; known: {', '.join(_UNITS[dimension])}")
+            raise ValueError(f"found {cut(value)}, {_a(other)}, {hint}")
+    raise ValueError(
+        f"found {cut(value)} with the unknown unit {cut(unit)}, {hint}; known: {', '.join(_UNITS[dimension])}"
+    )
+
+
+def cut(value: object) -> str:
+    """Return how a value is written, cut to a readable length."""
+    # Of a whole number of thousands of digits Python refuses to tell them.
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"
+    written = repr(value)
+    return written if len(written) <= LONGEST_SHOWN else f"{written[: LONGEST_SHOWN - 4]} ..."
 
 
 def example_of(kind: object) -> str:

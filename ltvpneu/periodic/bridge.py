@@ -93,7 +93,8 @@ def as_state_space(system: Any) -> "control.StateSpace":
     """Return a `control.StateSpace` or `control.TransferFunction` as the former."""
     import control
 
-    return control.ss(system) if isinstance(system, control.TransferFunction) else system
+    found: Any = control.ss(system) if isinstance(system, control.TransferFunction) else system
+    return found
 
 
 Names = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]

@@ -11,7 +11,7 @@ in exact arithmetic only, so they are counted in exact arithmetic, modulo a prim
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Any, cast, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -93,14 +93,15 @@ def product_multipliers(factors: Sequence[ArrayLike] | FloatArray) -> ProductMul
 
 def _chained(factors: Sequence[ArrayLike] | FloatArray) -> list[FloatArray]:
     """Return the factors as matrices, after checking that they can be multiplied round the period."""
-    shapes = {np.shape(factor) for factor in factors}
+    given = cast(Sequence[Any], factors)
+    shapes = {np.shape(factor) for factor in given}
     if len(shapes) != 1:
         arrays = [finite_array(f"factors[{k}]", factor, (None, None)) for k, factor in enumerate(factors)]
     else:
         arrays = list(finite_array("factors", factors, (None, None, None)))
     if not arrays or (len(shapes) == 1 and arrays[0].shape[0] != arrays[0].shape[1]):
         raise ValueError(
-            f"factors: found shape {np.shape(list(factors))}, expected one or more square matrices, (N, n, n)"
+            f"factors: found shape {np.shape(cast(Any, factors))}, expected one or more square matrices, (N, n, n)"
         )
     for k, array in enumerate(arrays):
         after = arrays[(k + 1) % len(arrays)]

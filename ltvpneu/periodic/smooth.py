@@ -40,8 +40,9 @@ def smooth_steps(
     NotConvergedError
         The coefficients change too fast, or jump, for `rtol` to be kept.
     """
-    starts = np.arange(FIRST_PARTS) * (period / FIRST_PARTS)
-    lengths = np.full(FIRST_PARTS, period / FIRST_PARTS)
+    starts: FloatArray = np.arange(FIRST_PARTS, dtype=np.float64) * (period / FIRST_PARTS)
+    lengths: FloatArray = np.full(FIRST_PARTS, period / FIRST_PARTS)
+    errors: FloatArray = np.zeros(FIRST_PARTS)
     known: dict[float, FloatArray] = {}
 
     def at(times: FloatArray) -> FloatArray:
@@ -57,7 +58,7 @@ def smooth_steps(
     found: list[tuple[float, float, FloatArray]] = []
     for _ in range(MOST_ROUNDS):
         whole = _constants(at, starts, lengths)
-        halves = np.stack([starts, starts + lengths / 2], axis=1)
+        halves: FloatArray = np.stack([starts, starts + lengths / 2], axis=1)
         halved = np.repeat(lengths / 2, 2)
         both = _constants(at, halves.ravel(), halved)
         one = _maps(whole, lengths, scales, units)
@@ -65,7 +66,8 @@ def smooth_steps(
         two = two[1::2] @ two[::2]
         sizes = np.maximum(np.abs(two).max(axis=(1, 2)), 1.0)
         missed = _scaled(_missed(at, starts, lengths), scales, units) * lengths[:, None, None]
-        errors = np.maximum(np.abs(one - two).max(axis=(1, 2)) / sizes, np.abs(missed).max(axis=(1, 2))) / 15
+        found_off = [np.abs(one - two).max(axis=(1, 2)) / sizes, np.abs(missed).max(axis=(1, 2))]
+        errors = np.max(found_off, axis=0) / 15
         done = errors <= np.maximum(rtol * lengths / period, ROUNDING)
         for k in np.flatnonzero(done):
             found += [(halves[k, i], halved[2 * k], both[2 * k + i]) for i in (0, 1)]
@@ -109,7 +111,7 @@ def _missed(at: Callable[[FloatArray], FloatArray], starts: FloatArray, lengths:
 
     Of the same order, from other times: a jump that hides between the nodes of whole and halves shows here.
     """
-    gauss = sum(at(starts + lengths * (0.5 + sign * NODE)) for sign in (-1.0, 1.0)) / 2
+    gauss = (at(starts + lengths * (0.5 - NODE)) + at(starts + lengths * (0.5 + NODE))) / 2
     return (at(starts) + 4 * at(starts + lengths / 2) + at(starts + lengths)) / 6 - gauss
 
 

@@ -1,7 +1,9 @@
 """Machine files: units, bundled machines, and what is said of a bad entry."""
 
 import math
+import os
 import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -321,3 +323,59 @@ def test_a_file_holds_a_proportional_valve():
 def test_bad_extensions_in_a_file_are_named(parts, match):
     with pytest.raises(lp.MachineFileError, match=match):
         parse_machine(EXTENDED.format(**{"medium": "", "cylinder": "", "inner": "", **parts}), "rig.toml")
+
+
+# Damaged files
+# -----------------------------------------------------------------------------------------------------------------
+
+TABLE_1 = (Path(lp.__file__).parent / "machines" / "kunt_singh_1990.toml").read_text(encoding="utf-8")
+
+
+def _with(key, value):
+    return re.sub(rf"(?m)^({key}\s*=\s*).*$", lambda match: match[1] + value, TABLE_1, count=1)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (_with("mass", "9" * 300), "load.mass: found a whole number of about 300 digits, expected a mass"),
+        (_with("mass", "9" * 5000), "found a number that cannot be read"),
+        (_with("mass", "-1e300"), r"load.mass: found -1e\+300, expected a mass"),
+        (_with("mass", '"1e300 kg"'), r"load.mass: found '1e300 kg', expected a mass"),
+        (_with("mass", '"3,0 kg"'), r"load.mass: found '3,0 kg' with a decimal comma; write a point: '3.0 kg'"),
+        (_with("mass", '"' + "k" * 100_000 + '"'), r"load.mass: found 'k{70,80} \.\.\., which does not begin"),
+        (_with("name", '"a\\u001b[31m"'), r"name: found 'a\\x1b\[31m', expected text without control characters"),
+        ("x = " + "[" * 500 + "]" * 500 + "\n" + TABLE_1, "nested hundreds deep"),
+        ("x = " + "[" * 100_000 + "]" * 100_000 + "\n" + TABLE_1, "nested hundreds deep"),
+        ("k" * 1000 + " = 1\n" + TABLE_1, r"bad.toml: 'k{70,80} \.\.\.: unknown key"),
+        (TABLE_1 + "#" + "x" * 10_000_000, r"found 10.0 MB, expected a machine file, of 1 MB at most"),
+    ],
+)  # fmt: skip
+def test_a_damaged_file_is_one_clear_and_short_error(tmp_path, text, message):
+    path = tmp_path / "bad.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(lp.MachineFileError, match=message) as caught:
+        lp.load_machine(path)
+    assert len(str(caught.value)) < 600
+    assert "bad.toml" in str(caught.value)
+
+
+def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path):
+    path = tmp_path / "marked.toml"
+    path.write_text(TABLE_1, encoding="utf-8-sig")
+    assert lp.load_machine(path) == lp.load_machine("kunt_singh_1990")
+
+
+def test_what_is_no_regular_file_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.toml")
+    (tmp_path / "folder.toml").mkdir()
+    with pytest.raises(lp.MachineFileError, match=r"pipe.toml: cannot be read: found no regular file"):
+        lp.load_machine(tmp_path / "pipe.toml")
+    with pytest.raises(lp.MachineFileError, match=r"folder.toml: cannot be read: found a folder"):
+        lp.load_machine(tmp_path / "folder.toml")
+
+
+def test_a_bundled_name_means_the_bundled_machine_whatever_lies_in_the_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "kunt_singh_1990").write_text("x = 1", encoding="utf-8")
+    assert lp.load_machine("kunt_singh_1990").supply_pressure == 410000.0

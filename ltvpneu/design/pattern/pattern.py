@@ -26,7 +26,7 @@ from ltvpneu.design.pattern.slots import (
 from ltvpneu.design.switching.goals import Wanted
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.linear.linearize import linearize_steps
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.system import PeriodicSystem
 
@@ -164,6 +164,7 @@ def optimize_pattern(  # noqa: PLR0913 - keyword-only, each with its default
     >>> print(linear.status, linear.broken, f"{1e3 * linear.figures['mean position']:.1f} mm")
     broken on the machine ('mean position',) 36.3 mm
     """
+    expect_machine(machine)
     positive("frequency", frequency, "Hz")
     N = whole("n_slots", n_slots, 2)
     ask = Asked(machine, minimize, dict(mean or {}), dict(amplitude or {}), n_pulses, (shortest_on, shortest_off), N)

@@ -18,7 +18,7 @@ from ltvpneu.design.switching.duty_variables import Bounds
 from ltvpneu.design.switching.starts import Progress
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 
 Wanted = float | tuple[float | None, float | None]
 """A value, or the least and the greatest one, None for no bound."""
@@ -121,6 +121,7 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     >>> print(f"nonlinear: {1e3 * found.nonlinear['nominal'].mean('position'):.1f} mm")
     nonlinear: 45.0 mm
     """
+    expect_machine(machine)
     goals = Goals() if goals is None else goals
     goals = replace(
         goals,

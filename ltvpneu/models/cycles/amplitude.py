@@ -13,7 +13,7 @@ from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.linear.lti import lti_model
 from ltvpneu.models.linear.ltv import ltv_model
 from ltvpneu.models.linear.modes import OperatingPoints
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.periodic.orbit import Orbit
@@ -84,6 +84,7 @@ def amplitude_response(
     >>> (1e3 * found.amplitude("nonlinear")).round(1).tolist()
     [39.3, 35.3]
     """
+    expect_machine(machine)
     grid = finite_array("frequencies", frequencies, (None,))
     if grid.size == 0 or (grid <= 0).any():
         raise ValueError(f"frequencies: found {grid.tolist()}, expected numbers above zero [Hz]")

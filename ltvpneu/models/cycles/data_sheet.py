@@ -13,7 +13,7 @@ from ltvpneu._values import Value
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycles.orbit_map import OrbitMap, orbit_map
 from ltvpneu.models.machine.dynamics import external_force
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.mass_drawn import mass_drawn
 from ltvpneu.models.nonlinear.method import integration_settings
@@ -187,6 +187,7 @@ def data_sheet(
     >>> print(f"{found.air.volume * 1e3:.2f} normal litres a double stroke")
     0.95 normal litres a double stroke
     """
+    expect_machine(machine)
     positive("price", price)
     strokes = {"out": stroke(machine, "out"), "in": stroke(machine, "in")}
     remarks = [f"Stroke {name}: {one.remark}." for name, one in strokes.items() if one.remark]
@@ -272,6 +273,7 @@ def balance_duty(machine: Machine, frequency: float, position: float | None = No
     float
         nan where no duty balances the load.
     """
+    expect_machine(machine)
     if isinstance(machine.valve, ProportionalValve):
         raise ValueError("machine: found a proportional valve, expected one that switches")
     middle = (machine.cylinder.lower_stop + machine.cylinder.upper_stop) / 2

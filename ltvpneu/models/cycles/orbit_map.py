@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import BoolArray, FloatArray, finite_array, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import NotSettledError
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.attractors import Attractors, attractors
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
@@ -200,6 +200,7 @@ def orbit_map(  # noqa: PLR0913 - keyword-only, each with its default
     >>> found.kinds
     (('unique', 'unique', 'subharmonic'), ('unique', 'band', 'band'))
     """
+    expect_machine(machine)
     duty_grid, frequency_grid = grid_of(duties, frequencies)
     shape = (frequency_grid.size, duty_grid.size)
     names = ("n_periods", "amplitudes", "means", "n_simulated", "lyapunov_exponents")

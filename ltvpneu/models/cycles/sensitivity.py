@@ -31,7 +31,7 @@ from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.linear.own_cycle import MAX_PERIODS, Found, retabled, trajectory_of_steps
 from ltvpneu.models.linear.plan import new_steps
 from ltvpneu.models.linear.repeat import repeat_march
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.parameters import present_value
 from ltvpneu.models.nonlinear.method import DormandPrince
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
@@ -148,6 +148,7 @@ def nonlinear_sensitivity(
     machine: Machine, frequency: float, parameters: Sequence[str] = PARAMETERS
 ) -> ParameterSensitivity:
     """Return the derivatives of the nonlinear model's orbit; parameters and errors as of `parameter_sensitivity`."""
+    expect_machine(machine)
     machine = machine.at(frequency)
     orbit = nonlinear_orbit(machine, frequency, method=DormandPrince(rtol=TOLERANCE))
     return _along_the_cycle(nonlinear_jacobians(machine, frequency, orbit, parameters), machine, frequency, parameters)

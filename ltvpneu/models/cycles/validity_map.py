@@ -14,7 +14,7 @@ from ltvpneu.models.cycles.orbit_map import grid_of
 from ltvpneu.models.linear.ltv import ltv_model
 from ltvpneu.models.linear.modes import OperatingPoints
 from ltvpneu.models.linear.staircase import default_steps
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
 
 
@@ -56,6 +56,7 @@ def validity_map(
     >>> found.errors.round(1).tolist()
     [[0.1], [0.6]]
     """
+    expect_machine(machine)
     duty_grid, frequency_grid = grid_of(duties, frequencies)
     n_steps = default_steps(machine.at(float(frequency_grid[0]))) if n_steps is None else n_steps
     shape = (frequency_grid.size, duty_grid.size)

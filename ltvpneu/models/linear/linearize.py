@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import FloatArray, finite_array
 from ltvpneu._values import Value
 from ltvpneu.models.machine.dynamics import gas_in_volume, is_in_range, state_rate
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.tangent import tangents
 from ltvpneu.physics.properties import IDEAL
 
@@ -75,6 +75,7 @@ def linearize(
     >>> lp.linearize(machine, [0.05, 0.0, 2.5e5]).A.shape
     (3, 3)
     """
+    expect_machine(machine)
     point = finite_array("state", state, (len(machine.states),))
     if areas is None:
         openings = areas_at(machine, 0.0 if angle is None else angle)

@@ -10,7 +10,7 @@ from ltvpneu._arrays import not_negative, positive
 from ltvpneu.models.linear.linearize import Linearization, linearize_steps
 from ltvpneu.models.linear.model import LtvModel, assemble, warn_outside
 from ltvpneu.models.linear.operating_points import LEAST_DISTANCE, Turn, held_inside, quasi_static_turn
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 
 
 def lti_model(
@@ -52,6 +52,7 @@ def lti_model(
     >>> print(f"{1e3 * orbit.amplitude('position'):.0f} mm")
     50 mm
     """
+    expect_machine(machine)
     machine = machine.at(positive("frequency", frequency, "Hz"))
     turn = quasi_static_turn(machine, n_steps)
     model = lti_model_of_turn(machine, frequency, turn, about_operating_point, least_distance)

@@ -15,7 +15,7 @@ from ltvpneu.models.linear.modes import MODES, OperatingPoints
 from ltvpneu.models.linear.operating_points import LEAST_DISTANCE, Turn, held_inside, quasi_static_turn
 from ltvpneu.models.linear.own_cycle import Question, Spacing, model_to_tolerance, own_cycle_model
 from ltvpneu.models.linear.staircase import default_steps, staircase
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.ramps import ramped
 from ltvpneu.periodic.steady import periodic_states
@@ -116,6 +116,7 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
     >>> print(f"{1e3 * model.orbit.amplitude('position'):.1f} mm")
     35.2 mm
     """
+    expect_machine(machine)
     machine = machine.at(positive("frequency", frequency, "Hz"))
     not_negative("least_distance", least_distance)
     if spacing not in ("adaptive", "even"):
@@ -133,8 +134,9 @@ def ltv_model(  # noqa: PLR0913 - keyword-only, each with its default
         question = Question(
             machine=machine, frequency=float(frequency), mode=operating_points, distance=float(least_distance)
         )
-        watch = Watch(end=deadline(max_seconds), progress=progress)
-        return _following_its_cycle(question, n_steps, spacing, rtol, watch)
+        return _following_its_cycle(
+            question, n_steps, spacing, rtol, Watch(end=deadline(max_seconds), progress=progress)
+        )
     if rtol is not None:
         raise ValueError(
             f"rtol: found {rtol:g} with operating points {operating_points!r}, whose error more steps do not mend; "

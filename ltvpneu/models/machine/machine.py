@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, cast, final
 
 import numpy as np
@@ -492,3 +493,14 @@ class Machine(Value):
         n_temperatures = len(self.states) - 2 - self.n_volumes
         pressures, temperatures = [self.exhaust_pressure] * self.n_volumes, [self.gas.temperature] * n_temperatures
         return read_only(np.array([position, 0.0, *pressures, *temperatures]))
+
+
+def expect_machine(machine: object) -> None:
+    """Raise `TypeError` unless given a `Machine`; a model that carries one, or a name, is told what to give."""
+    if isinstance(machine, Machine):
+        return
+    if isinstance(machine, str | Path):
+        hint = f"; lp.load_machine({str(machine)!r}) reads one"
+    else:
+        hint = "; give its .machine" if isinstance(getattr(machine, "machine", None), Machine) else ""
+    raise TypeError(f"machine: found {type(machine).__name__}, expected a Machine{hint}")

@@ -20,7 +20,7 @@ from ltvpneu._arrays import ComplexArray, FloatArray, IntArray, finite_array, po
 from ltvpneu._clock import Deadline, deadline
 from ltvpneu._values import Value
 from ltvpneu.errors import LtvpneuError, NotSettledError, TimeLimitError
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
 from ltvpneu.models.nonlinear.floquet import orbit_floquet
@@ -170,6 +170,7 @@ def attractors(  # noqa: PLR0913 - keyword-only, each with its default
     >>> found.is_single, found.orbits[0].rest
     (True, 'held by stiction')
     """
+    expect_machine(machine)
     positive("frequency", frequency, "Hz")
     if starts is None:
         generator = np.random.default_rng(0) if generator is None else generator

@@ -27,7 +27,7 @@ from ltvpneu.models.machine.dynamics import (
     gas_in_volume,
     properties_of,
 )
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.openings import Pieces, pieces_of, write_areas
 from ltvpneu.models.machine.records import MachineRecord
 from ltvpneu.models.nonlinear.integrator import OK, Record
@@ -113,6 +113,7 @@ def balance(machine: Machine, orbit: Orbit, *, rtol: float = 1e-12) -> Balance:
     >>> found.mass_error < 1e-9, found.energy_error < 1e-9
     (True, True)
     """
+    expect_machine(machine)
     if orbit.states != machine.states:
         raise ValueError(
             f"orbit: found states {', '.join(orbit.states)}, expected the machine's: {', '.join(machine.states)}"

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ltvpneu._arrays import read_only
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.integrator import Record, log_of
 from ltvpneu.models.nonlinear.orbits import mode_labelled
@@ -42,6 +42,7 @@ def orbit_floquet(machine: Machine, orbit: Orbit) -> Floquet:
     >>> print(f"{lp.orbit_floquet(machine, lp.nonlinear_orbit(machine, 8.0)).spectral_radius:.3f}")
     0.224
     """
+    expect_machine(machine)
     trajectory = orbit.trajectory
     if not isinstance(trajectory, PolynomialTrajectory):
         raise TypeError(

@@ -14,7 +14,7 @@ from ltvpneu._arrays import FloatArray, positive, read_only, whole
 from ltvpneu._clock import Deadline, deadline
 from ltvpneu.errors import NotSettledError
 from ltvpneu.models.machine.dynamics import STUCK
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.heading import Heading, look_ahead
 from ltvpneu.models.nonlinear.integrator import OK, Outcome, Record, joined, log_of
@@ -101,6 +101,7 @@ def nonlinear_orbit(  # noqa: PLR0913 - keyword-only, each with its default
     >>> lost.n_periods, lp.orbit_floquet(machine, lost).is_stable
     (1, False)
     """
+    expect_machine(machine)
     period = 1 / positive("frequency", frequency, "Hz")
     end, machine = deadline(max_seconds), machine.at(frequency)
     start, tolerance = initial_state_of(machine, initial_state), positive("tolerance", tolerance)

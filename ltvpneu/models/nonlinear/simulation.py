@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import FloatArray, finite_array, positive, whole
 from ltvpneu._clock import deadline
 from ltvpneu.models.machine.dynamics import chamber_volume, gas_in_volume, is_in_range
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.method import DEFAULT, Method, settings_of
@@ -75,6 +75,7 @@ def simulate(  # noqa: PLR0913 - one call for one transient
     >>> print(f"{float(response.time[-1])} s")
     0.5 s
     """
+    expect_machine(machine)
     period, end = 1 / positive("frequency", frequency, "Hz"), deadline(max_seconds)
     n_periods, machine = whole("n_periods", n_periods), machine.at(frequency)
     settings = settings_of(machine, period, method)

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from ltvpneu._arrays import positive
 from ltvpneu._values import Value
 from ltvpneu.models.machine.dynamics import external_force
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.piston import hold_of
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.models.nonlinear.rest import positions_of_rest
@@ -75,6 +75,7 @@ def stiction_band(machine: Machine, frequency: float) -> StictionBand:
     ValueError
         Neither a spring nor end stops bound the interval.
     """
+    expect_machine(machine)
     positive("frequency", frequency, "Hz")
     load = machine.load
     machine = machine.at(frequency)

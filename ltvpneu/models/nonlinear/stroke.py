@@ -10,7 +10,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, read_only
 from ltvpneu._values import Value
 from ltvpneu.models.machine.dynamics import STUCK, external_force
-from ltvpneu.models.machine.machine import Machine
+from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.machine.quasi_static import settle_volumes
 from ltvpneu.models.nonlinear.integrator import OK, Record
@@ -132,6 +132,7 @@ def stroke(machine: Machine, direction: Direction = "out") -> Stroke:
     >>> found.arrives, found.end_position
     (True, 0.05)
     """
+    expect_machine(machine)
     if direction not in ("out", "in"):
         raise ValueError(f'direction: found {direction!r}, expected "out" or "in"')
     low, high = machine.cylinder.lower_stop, machine.cylinder.upper_stop
