@@ -27,7 +27,7 @@ import numpy as np
 from ltvpneu._arrays import ComplexArray, FloatArray, IntArray, not_negative, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import StepOverflowError
-from ltvpneu.periodic.cyclic import Reduced, reduced_pairs
+from ltvpneu.periodic.cyclic import Reduced, reduced, reduced_pairs
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.product import expect_converged, falling, from_logs, product_multipliers
 from ltvpneu.periodic.propagate import complex_exponentials
@@ -38,6 +38,8 @@ LEAST_SHARE, TINY = -27.0, float(np.finfo(float).tiny)
 """Logarithm of a modulus, over the largest or one, below which the whole map has lost it to rounding [-]."""
 LARGEST_RATIO = 300.0
 """Logarithm of sizes beyond which a state is all or nothing beside another [-]."""
+MODERATE_SIZE = 5.0
+"""Logarithm of sizes up to which they are multiplied as they are [-]."""
 TRACE_TOLERANCE = 1e-11
 """Of the sum of the logarithms, relative to the norm of A times the period."""
 
@@ -330,16 +332,7 @@ class Floquet(Value):
         sizes = maps.row_logs - shrink[:, None]
         # e^{-i angle} once a period, spread evenly in time.
         phases = np.exp(-1j * self.angles[mode] * maps.durations / period)
-        # Cut off, and sooner where rows grow: what decays in one step by more than it grows in another stays at zero.
-        left = -np.exp(np.clip(sizes, -2 * LARGEST_RATIO, 0.0))[:, :, None] * maps.factors * phases[:, None, None]
-        right = np.zeros_like(left)
-        np.einsum("kii->ki", right)[:] = np.exp(np.clip(-sizes, -LARGEST_RATIO, 0.0))
-        nothing = np.zeros((len(left), left.shape[1], 1))
-        shapes = _null_trajectory(reduced_pairs(left, right, nothing), member)
-        # The adjoint equations are the transposed ones, from the end to the start.
-        backward = np.swapaxes(left[::-1], 1, 2), np.roll(right[::-1], -1, axis=0)
-        found = _null_trajectory(reduced_pairs(*backward, nothing), member)[::-1]
-        adjoints = -(np.swapaxes(left, 1, 2) @ found[:, :, None])[:, :, 0]
+        shapes, adjoints = _null_trajectories(maps.factors * phases[:, None, None], sizes, member)
         elapsed = np.cumsum(maps.durations) - maps.durations
         logs = np.cumsum(shrink) - shrink - self.log_moduli[mode] * elapsed / period
         return _Vectors(shapes, adjoints, logs)
@@ -404,6 +397,27 @@ def _eigenvector(matrix: FloatArray, eigenvalue: complex) -> ComplexArray:
     return vectors[:, int(np.argmin(np.abs(values - eigenvalue)))].astype(np.complex128)
 
 
+def _null_trajectories(factors: ComplexArray, sizes: FloatArray, member: int) -> tuple[ComplexArray, ComplexArray]:
+    """Return p and q of p_{k+1} = diag(exp(sizes)) F_k p_k, a singular cyclic system, each (n_maps, n).
+
+    Rows far from one in size are divided on both sides.
+    """
+    nothing = np.zeros((*factors.shape[:2], 1))
+    if np.abs(sizes).max(initial=0.0) <= MODERATE_SIZE:
+        whole = np.exp(sizes)[:, :, None] * factors
+        backward = _null_trajectory(reduced(np.swapaxes(whole[::-1], 1, 2), nothing), member)
+        return _null_trajectory(reduced(whole, nothing), member), np.roll(backward[::-1], 1, axis=0)
+    # Cut off, and sooner where rows grow: what decays in one step by more than it grows in another stays at zero.
+    left = -np.exp(np.clip(sizes, -2 * LARGEST_RATIO, 0.0))[:, :, None] * factors
+    right = np.zeros_like(left)
+    np.einsum("kii->ki", right)[:] = np.exp(np.clip(-sizes, -LARGEST_RATIO, 0.0))
+    shapes = _null_trajectory(reduced_pairs(left, right, nothing), member)
+    # The adjoint equations are the transposed ones, from the end to the start.
+    transposed = np.swapaxes(left, 1, 2)
+    found = _null_trajectory(reduced_pairs(transposed[::-1], np.roll(right[::-1], -1, axis=0), nothing), member)[::-1]
+    return shapes, -(transposed @ found[:, :, None])[:, :, 0]
+
+
 def _null_trajectory(one: Reduced, member: int) -> ComplexArray:
     """Return the solution of the singular cyclic system along its smallest singular value but `member`, (N, n)."""
     right = np.linalg.svd(one.first + one.last)[2]
@@ -420,6 +434,11 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     least_margin : float
         Smallest margin of the verdict. It is widened to the rounding error of the largest multipliers, estimated from
         their condition numbers.
+
+    Raises
+    ------
+    StepOverflowError
+        States so stiff and so strongly coupled that the multipliers' logarithms do not sum to the trace of A.
 
     Examples
     --------

@@ -90,6 +90,8 @@ def gramians(system: PeriodicSystem) -> Gramians:
     ------
     NotStableError
         Unstable, or too close to it to tell.
+    StepOverflowError
+        A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
 
     Examples
     --------

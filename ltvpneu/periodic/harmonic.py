@@ -98,6 +98,8 @@ def frequency_response(
     ------
     ValueError
         j omega is a characteristic exponent.
+    StepOverflowError
+        A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
     """
     expect_system(system)
     frequencies = finite_array("omega", omega, (None,))

@@ -42,6 +42,11 @@ def hinf_norm(system: PeriodicSystem, *, rtol: float = 1e-14) -> float:
     float
         Infinite if the system is not stable.
 
+    Raises
+    ------
+    StepOverflowError
+        A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
+
     Examples
     --------
     >>> import ltvpneu as lp

@@ -145,6 +145,8 @@ def lyapunov_factors(system: PeriodicSystem, B: ArrayLike, *, adjoint: bool = Fa
     ------
     NotStableError
         Unstable, or too close to it to tell.
+    StepOverflowError
+        A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
     """
     expect_system(system)
     N, n = system.n_steps, system.n_states
@@ -182,6 +184,8 @@ def lyapunov(system: PeriodicSystem, W: ArrayLike, *, adjoint: bool = False) -> 
     ------
     NotStableError
         Unstable, or too close to it to tell.
+    StepOverflowError
+        A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
 
     Examples
     --------

@@ -31,6 +31,11 @@ def h2_norm(system: PeriodicSystem) -> float:
     float
         Infinite if the system is not stable, or where an input reaches an output at once (D not zero).
 
+    Raises
+    ------
+    StepOverflowError
+        A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
+
     Examples
     --------
     >>> import ltvpneu as lp
@@ -54,6 +59,11 @@ def hankel_norm(system: PeriodicSystem) -> float:
     -------
     float
         Infinite if the system is not stable.
+
+    Raises
+    ------
+    StepOverflowError
+        A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
 
     Examples
     --------

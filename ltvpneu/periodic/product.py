@@ -86,8 +86,8 @@ def product_multipliers(factors: Sequence[ArrayLike] | FloatArray) -> ProductMul
     else:
         # The eigenvalues other than zero do not depend on where the period starts: at the fewest states.
         stack, n_lost = _of_fewest_states(arrays[least:] + arrays[:least]), n - sizes[least]
-    log_moduli, angles = log_multipliers(stack)
-    n_zero = _n_exact_zeros(stack) if np.isneginf(log_moduli).any() or _may_be_singular(stack) else 0
+    log_moduli, angles, is_suspicious = _logs(stack)
+    n_zero = _n_exact_zeros(stack) if is_suspicious else 0
     return from_logs(*_with_zeros(log_moduli, angles, n_zero, n_lost))
 
 
@@ -163,9 +163,15 @@ def log_multipliers(factors: FloatArray) -> tuple[FloatArray, FloatArray]:
     ----------
     factors : ndarray, shape (N, n, n)
     """
+    log_moduli, angles, _ = _logs(factors)
+    return log_moduli, angles
+
+
+def _logs(factors: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+    """Return the same, and whether a factor is singular or so close to it that only exact arithmetic can tell."""
     n = factors.shape[1]
     if n == 0 or not np.abs(factors).max(axis=(1, 2), initial=0.0).all():
-        return np.full(n, -np.inf), np.zeros(n)
+        return np.full(n, -np.inf), np.zeros(n), False
     scaled, row_logs = _equilibrated(factors)
     found = log_eigenvalues(scaled, row_logs)
     deficient = _first_deficient(scaled, found.suspicious) if found.suspicious.any() else None
@@ -173,12 +179,12 @@ def log_multipliers(factors: FloatArray) -> tuple[FloatArray, FloatArray]:
         turned, logs = np.roll(scaled, -deficient, axis=0), np.roll(row_logs, -deficient, axis=0)
         common = np.max(logs, axis=1)
         smaller = _without_null_space(turned * np.exp(logs - common[:, None])[:, :, None])
-        log_moduli, angles = log_multipliers(smaller)
+        log_moduli, angles, _ = _logs(smaller)
         zeros = n - smaller.shape[1]
         log_moduli = log_moduli + float(np.sum(common))
-        return np.append(log_moduli, np.full(zeros, -np.inf)), np.append(angles, np.zeros(zeros))
+        return np.append(log_moduli, np.full(zeros, -np.inf)), np.append(angles, np.zeros(zeros)), True
     expect_converged(found, len(factors), n)
-    return found.log_moduli, found.angles
+    return found.log_moduli, found.angles, bool(found.suspicious.any())
 
 
 def expect_converged(found: LogEigenvalues, n_factors: int, n: int) -> None:
@@ -221,14 +227,6 @@ def _first_deficient(factors: FloatArray, suspicious: BoolArray) -> int | None:
         if _rank(factors[k])[0] < factors.shape[1]:
             return int(k)
     return None
-
-
-def _may_be_singular(factors: FloatArray) -> bool:
-    """Return whether a factor is so close to singular that only exact arithmetic can tell."""
-    if factors.size == 0:
-        return False
-    scaled, _ = _equilibrated(factors)
-    return any(_rank(factor, 1e3)[0] < factors.shape[1] for factor in scaled)
 
 
 def _n_exact_zeros(factors: FloatArray) -> int:
@@ -276,7 +274,7 @@ def _rank_modulo(matrix: IntArray, prime: int) -> int:
     return rank
 
 
-def _rank(matrix: FloatArray, tolerance: float = 1.0) -> tuple[int, FloatArray, FloatArray]:
+def _rank(matrix: FloatArray) -> tuple[int, FloatArray, FloatArray]:
     """Return the rank r after equilibration, and U (n, r), V' (r, n) with U V' the matrix."""
     rows, columns = np.ones(len(matrix)), np.ones(len(matrix))
     for _ in range(5):
@@ -286,7 +284,7 @@ def _rank(matrix: FloatArray, tolerance: float = 1.0) -> tuple[int, FloatArray, 
         largest = np.max(np.abs(rows[:, None] * matrix * columns), axis=0)
         columns /= np.where(largest > 0, np.sqrt(largest), 1.0)
     left, values, right = np.linalg.svd(rows[:, None] * matrix * columns)
-    rank = int(np.count_nonzero(values > tolerance * len(matrix) * EPS * values[0]))
+    rank = int(np.count_nonzero(values > len(matrix) * EPS * values[0]))
     return rank, left[:, :rank] * values[:rank] / rows[:, None], right[:rank] / columns
 
 

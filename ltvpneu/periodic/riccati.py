@@ -155,6 +155,8 @@ def lqr(
         does not see.
     ValueError
         Weights of the wrong shape, not symmetric or not definite.
+    StepOverflowError
+        A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
 
     Examples
     --------
@@ -202,6 +204,8 @@ def kalman(system: PeriodicSystem, Qn: ArrayLike, Rn: ArrayLike, *, sampled: boo
         No stabilizing solution: an unstable mode that no output shows.
     ValueError
         Noise of the wrong shape, not symmetric or not definite.
+    StepOverflowError
+        A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
 
     Examples
     --------

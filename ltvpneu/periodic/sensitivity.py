@@ -330,6 +330,8 @@ def sensitivity(system: PeriodicSystem) -> Sensitivity:
     ------
     NoOrbitError, NonUniqueOrbitError
         There is no orbit, or not one only.
+    StepOverflowError
+        A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
     """
     steady_state(system)
     return Sensitivity(system=system)
