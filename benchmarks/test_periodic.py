@@ -8,6 +8,7 @@ import math
 import time
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 
 import ctrlsys
 import numpy as np
@@ -91,3 +92,21 @@ def test_multipliers_against_a_compiled_periodic_schur_form(benchmark: Benchmark
     print(f"\n{kind}: {times:.2f} times the compiled periodic Schur form, log moduli apart by {apart:.0e}")
     benchmark.extra_info["times the peer"] = times
     benchmark.pedantic(lp.product_multipliers, args=(factors,), rounds=3)
+
+
+@pytest.mark.parametrize("rate", [1e3, 1e5, 1e7, 1e9])
+def test_multipliers_of_stiff_steps_against_those_of_mild_ones(benchmark: BenchmarkFixture, rate: float) -> None:
+    """Steps of a second in random coordinates, their rates spread evenly over the decades from one."""
+    random = np.random.default_rng(0)
+    N, n = 8, 5
+
+    def system(fastest: float) -> lp.PeriodicSystem:
+        turns = np.eye(n) + 0.3 * random.standard_normal((N, n, n))
+        rates = np.eye(n) * -(fastest ** random.uniform(0, 1, (N, 1, n)))
+        return lp.PeriodicSystem.from_matrices(turns @ rates @ np.linalg.inv(turns), np.zeros((N, n)), np.ones(N))
+
+    mild, stiff = system(2.0), system(rate)
+    times = 1 / ratio(lambda: multipliers(replace(mild)), lambda: multipliers(replace(stiff)), rounds=5, inner=5)
+    print(f"\nrates to {rate:g} 1/s: {times:.1f} times a mild system")
+    benchmark.extra_info["times a mild system"] = times
+    benchmark(multipliers, stiff)

@@ -13,7 +13,7 @@ from ltvpneu.face.machine_text import nearest
 from ltvpneu.face.report import depends, shown
 from ltvpneu.face.study_data import attractors_data
 from ltvpneu.face.tables import heading, table
-from ltvpneu.face.units import Dimension, parse
+from ltvpneu.face.units import Dimension, example_of, parse, units_of
 from ltvpneu.models.cycles.orbit_map import MAP_SPREAD, orbit_map
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import attractors
@@ -343,25 +343,37 @@ def _dimension(name: str) -> Dimension:
 
 
 def _plain(option: str, name: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"{option}: found {text!r} for {name}, expected a number") from None
+    if not _is_number(text):
+        raise ValueError(f"{option}: found {text!r} for {name}, expected a number")
+    return float(text)
 
 
 def _quantity(option: str, name: str, text: str, ambient: float = ATMOSPHERE) -> float:
     dimension = _dimension(name)
     if name == "velocity":
         return _plain(option, name, re.sub(r"\s*m/s$", "", text))
-    try:
-        # As on a machine file, but that a plain number may be typed as such.
-        return parse(float(text), dimension)
-    except ValueError:
-        pass
+    if dimension == "number":
+        return _plain(option, name, text)
+    # A plain number would be in m and Pa, where the tables printed speak in mm and bar: it has to say which is meant.
+    if _is_number(text):
+        if float(text) == 0 and dimension not in ("pressure", "temperature"):
+            return 0.0
+        raise ValueError(
+            f"{option}: {name}: found {text!r} without a unit, expected {example_of(dimension)} or the like: "
+            f"{', '.join(units_of()[dimension])}"
+        )
     try:
         return parse(text, dimension, ambient)
     except ValueError as error:
         raise ValueError(f"{option}: {name}: {error}") from None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _range(option: str, name: str, text: str, ambient: float = ATMOSPHERE) -> Any:

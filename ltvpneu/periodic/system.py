@@ -76,6 +76,23 @@ MOST_PIECES = 1 << 17
 """Pieces into which stiff steps are split before pieces of a greater norm are taken."""
 
 
+def _chosen(kind: str, wanted: Sequence[str | int] | None, known: tuple[str, ...]) -> list[int]:
+    """Return the numbers of signals given by name or number."""
+    if wanted is None:
+        return list(range(len(known)))
+    if isinstance(wanted, str):
+        raise ValueError(f"{kind}: found {wanted!r}, expected a list of names, such as [{wanted!r}]")
+    found: list[int] = []
+    for one in wanted:
+        number = known.index(one) if isinstance(one, str) and one in known else one
+        if isinstance(number, str) or not 0 <= number < len(known):
+            raise ValueError(f"{kind}: found {one!r}, expected some of {', '.join(known) or 'none'}")
+        found.append(int(number))
+    if len(set(found)) < len(found):
+        raise ValueError(f"{kind}: found {list(wanted)}, expected each once")
+    return found
+
+
 def expect_system(system: object) -> None:
     """Raise `TypeError` unless given a `PeriodicSystem`; a model that carries one is told so."""
     if not isinstance(system, PeriodicSystem):
@@ -262,6 +279,46 @@ class PeriodicSystem(Value):
     def with_levels(self, levels: ArrayLike) -> "PeriodicSystem":
         """Return the system with other values of its inputs, shape (m,)."""
         return replace(self, levels=finite_array("levels", levels, (len(self.inputs),)))
+
+    def select(
+        self, *, outputs: Sequence[str | int] | None = None, inputs: Sequence[str | int] | None = None
+    ) -> "PeriodicSystem":
+        """Return the system with some of its outputs and inputs, in the order given; all by default.
+
+        An input that is left out stays at its level, which becomes part of r and q.
+
+        Parameters
+        ----------
+        outputs, inputs : sequence of str or int, optional
+            Names or numbers.
+
+        Raises
+        ------
+        ValueError
+            No such output or input, or one given twice.
+
+        Examples
+        --------
+        >>> import ltvpneu as lp
+        >>> model = lp.ltv_model(lp.load_machine("kunt_singh_1990"), frequency=4.0)
+        >>> model.system.select(outputs=["position"], inputs=["supply_pressure"])
+        <PeriodicSystem Kunt___Singh_1990_ltv: 2 steps in 0.25 s, 3 states, 1 inputs, 1 outputs>
+        """
+        rows = _chosen("outputs", outputs, self.outputs)
+        columns = _chosen("inputs", inputs, self.inputs)
+        held = np.setdiff1d(np.arange(len(self.inputs)), columns)
+        fixed = self.levels[held]
+        return replace(
+            self,
+            B=self.B[:, :, columns],
+            r=self.r + self.B[:, :, held] @ fixed,
+            C=self.C[:, rows],
+            D=self.D[:, rows][:, :, columns],
+            q=(self.q + self.D[:, :, held] @ fixed)[:, rows],
+            levels=self.levels[columns],
+            inputs=tuple(self.inputs[i] for i in columns),
+            outputs=tuple(self.outputs[i] for i in rows),
+        )
 
     @cached_property
     def period(self) -> float:

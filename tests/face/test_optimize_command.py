@@ -46,6 +46,11 @@ def test_scenarios_delays_and_pulses_are_taken(capsys):
         (["--mean", "positon=45mm"], "did you mean 'position'"),
         (["--mean", "position"], "expected NAME=VALUE"),
         (["--mean", "position=45kg"], "a mass, expected a length"),
+        (
+            ["--mean", "position=45"],
+            "--mean: position: found '45' without a unit, expected \"80 mm\" or the like: m, cm",
+        ),
+        (["--mean", "pressure_1=3..4"], "pressure_1: found '3' without a unit"),
         (["--mean", "position=50mm..40mm"], "contradict each other"),
         (["--max", "noise=3"], "expected one of amplitude, air_use"),
         (["--free", "duty=0.1"], "its least and greatest value"),

@@ -89,3 +89,24 @@ def test_systems_side_by_side_answer_each_to_its_own_inputs():
     found = lp.floquet(both).log_moduli
     # Two periods of the second are one of both.
     np.testing.assert_allclose(found, sorted([-1.7, -3.0], reverse=True), rtol=1e-12)
+
+
+def test_selected_channels_keep_the_orbit_and_answer_as_before():
+    rng = np.random.default_rng(2)
+    A, B = rng.standard_normal((2, 3, 3)) - 3 * np.eye(3), rng.standard_normal((2, 3, 2))
+    C, D = rng.standard_normal((2, 2, 3)), rng.standard_normal((2, 2, 2))
+    whole = lp.PeriodicSystem.from_matrices(A, rng.standard_normal((2, 3)), [0.4, 0.6], B=B, C=C, D=D)
+    whole = whole.with_levels([1.0, -2.0])
+    part = whole.select(outputs=["y2"], inputs=[1])
+    assert (part.inputs, part.outputs, part.levels.tolist()) == (("u2",), ("y2",), [-2.0])
+    assert lp.steady_state(part).mean("y2") == pytest.approx(lp.steady_state(whole).mean("y2"), rel=1e-12)
+    expected = lp.harmonic_transfer(whole, 2j, [0, 1])[:, 1:, 1:]
+    np.testing.assert_allclose(lp.harmonic_transfer(part, 2j, [0, 1]), expected, rtol=1e-12)
+    with pytest.raises(ValueError, match="outputs: found 'y3', expected some of y1, y2"):
+        whole.select(outputs=["y3"])
+    with pytest.raises(ValueError, match="inputs: found 2, expected some of u1, u2"):
+        whole.select(inputs=[2])
+    with pytest.raises(ValueError, match=r"inputs: found \[0, 'u1'\], expected each once"):
+        whole.select(inputs=[0, "u1"])
+    with pytest.raises(ValueError, match=r"outputs: found 'y1', expected a list of names, such as \['y1'\]"):
+        whole.select(outputs="y1")
