@@ -81,13 +81,11 @@ def product_multipliers(factors: Sequence[ArrayLike] | FloatArray) -> ProductMul
     arrays = _chained(factors)
     sizes = [array.shape[1] for array in arrays]
     n, least = sizes[0], int(np.argmin(sizes))
-    if max(sizes) == min(sizes):
-        stack, n_lost = np.array(arrays), 0
-    else:
-        # The eigenvalues other than zero do not depend on where the period starts: at the fewest states.
-        stack, n_lost = _of_fewest_states(arrays[least:] + arrays[:least]), n - sizes[least]
-    log_moduli, angles, is_suspicious = _logs(stack)
-    n_zero = _n_exact_zeros(stack) if is_suspicious else 0
+    # The eigenvalues other than zero do not depend on where the period starts: at the fewest states.
+    turned, n_lost = arrays[least:] + arrays[:least], n - sizes[least]
+    is_square = max(sizes) == min(sizes)
+    log_moduli, angles, is_suspicious = _logs(np.array(turned) if is_square else _of_fewest_states(turned))
+    n_zero = _n_exact_zeros(turned) if is_suspicious or not is_square else 0
     return from_logs(*_with_zeros(log_moduli, angles, n_zero, n_lost))
 
 
@@ -229,7 +227,7 @@ def _first_deficient(factors: FloatArray, suspicious: BoolArray) -> int | None:
     return None
 
 
-def _n_exact_zeros(factors: FloatArray) -> int:
+def _n_exact_zeros(factors: Sequence[FloatArray]) -> int:
     """Return how many eigenvalues of the product are zero in exact arithmetic.
 
     Doubles are whole numbers but for a power of two, so the product can be formed modulo a prime, in which its n-th
@@ -238,8 +236,8 @@ def _n_exact_zeros(factors: FloatArray) -> int:
     return min(_n_zeros_modulo(factors, prime) for prime in PRIMES)
 
 
-def _n_zeros_modulo(factors: FloatArray, prime: int) -> int:
-    n = factors.shape[1]
+def _n_zeros_modulo(factors: Sequence[FloatArray], prime: int) -> int:
+    n = factors[0].shape[1]
     product = np.eye(n, dtype=np.int64)
     for factor in factors:
         mantissas, powers = np.frexp(factor)

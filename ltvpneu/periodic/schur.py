@@ -278,7 +278,12 @@ def _triangularize(factors: ComplexArray) -> bool:
 
 def _pair_conjugates(log_moduli: FloatArray, angles: FloatArray) -> None:
     """Make eigenvalues of a real matrix, computed in complex numbers, real or conjugate to the last bit, in place."""
-    values: ComplexArray = np.exp(log_moduli - np.max(log_moduli) + 1j * angles)
+    largest = float(np.max(log_moduli))
+    if math.isinf(largest):
+        # All of them zero.
+        angles[:] = 0.0
+        return
+    values: ComplexArray = np.exp(log_moduli - largest) * np.exp(1j * angles)
     left = np.ones(len(values), dtype=np.bool_)
     while np.any(left):
         i = int(np.argmax(np.where(left, np.abs(values.imag), -1.0)))

@@ -232,6 +232,18 @@ def test_rectangular_factors_have_the_multipliers_of_their_product(seed):
     np.testing.assert_allclose(np.exp(found.log_moduli[: sizes.min()]), largest, rtol=1e-8)
 
 
+def test_an_exact_zero_of_rectangular_factors_is_found():
+    found = lp.product_multipliers([[[1.0, 1.0], [2.0, 2.0], [0.5, 3.0]], [[1.0, -1.0, 2.0], [3.0, 3.0, 6.0]]])
+    product = np.array([[1.0, -1.0, 2.0], [3.0, 3.0, 6.0]]) @ [[1.0, 1.0], [2.0, 2.0], [0.5, 3.0]]
+    np.testing.assert_allclose(np.sort(found.multipliers.real), np.sort(np.linalg.eigvals(product)), rtol=1e-12)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gone = lp.product_multipliers([[[0.1], [0.1]], [[1.0, -1.0]]])
+        assert np.isneginf(gone.log_moduli).all()
+        chain = [[[0.0, 2.0], [1.0, -1.0]], [[1.0, 2.0], [-2.0, -2.0]], [[0.0, 0.0], [-2.0, 0.0]]]
+        assert np.isneginf(lp.product_multipliers(chain).log_moduli[-1])
+
+
 def test_rectangular_factors_that_do_not_follow_each_other_are_refused():
     with pytest.raises(ValueError, match=r"found shape \(2, 3\) of factors\[0\] and \(3, 3\) of factors\[1\]"):
         lp.product_multipliers([np.ones((2, 3)), np.ones((3, 3))])
