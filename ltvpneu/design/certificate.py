@@ -23,6 +23,7 @@ P itself shows, less what rounding may do.
    Control 41, 1996, lemma 2.
 """
 
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -171,7 +172,9 @@ def _least_dwell(matrices: FloatArray, dwell: float, functions: FloatArray) -> t
         middle = 0.5 * (low + high)
         maps = exponentials(matrices * middle)
         falls = [maps[i].T @ P[j] @ maps[i] - P[i] << -slack * identity for i, j in permutations(range(N), 2)]
-        with suppress(CvxpySolverError):
+        with suppress(CvxpySolverError), warnings.catch_warnings():
+            # An inaccurate solution is checked like any other.
+            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
             cp.Problem(cp.Maximize(slack), fixed + falls).solve(solver=cp.CLARABEL)
         values = [np.asarray(Q.value, dtype=np.float64) for Q in P if Q.value is not None]
         found = np.array([0.5 * (value + value.T) for value in values])
@@ -263,7 +266,9 @@ def _best(matrices: FloatArray, upper: float) -> tuple[FloatArray, float] | None
 
 def _attempt(problem: cp.Problem, P: cp.Variable, matrices: FloatArray) -> tuple[FloatArray, float] | None:
     try:
-        problem.solve(solver=cp.CLARABEL)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
+            problem.solve(solver=cp.CLARABEL)
     except CvxpySolverError:
         return None
     if P.value is None:
