@@ -161,14 +161,18 @@ class TimeLimitError(LtvpneuError):
 
 
 class NotConvergedError(LtvpneuError):
-    """A linear model's operating points, or its cycle, were not found.
+    """An iteration did not reach its tolerance.
+
+    For a linear model's operating points or cycle, for multipliers of close moduli, or for steps that stand for smooth
+    coefficients.
 
     Attributes
     ----------
     residual : float
-        Largest scaled difference that was left [-]: of operating points and step means, or of the state over a period.
+        Largest scaled difference that was left [-]: of operating points and step means, of the state over a period, or
+        of the map over a part; infinite where none is known.
     iterations : int
-        Valve periods marched.
+        Rounds; of a linear model, valve periods marched.
     """
 
     def __init__(self, message: str, *, residual: float, iterations: int) -> None:

@@ -10,7 +10,7 @@ is stable by itself, functions P_i prove it for all switching that stays in each
 
 .. math:: A_i' P_i + P_i A_i \prec 0, \qquad e^{A_i' T} P_j e^{A_i T} \prec P_i \quad (j \ne i)
 
-[Geromel2006]_ (theorem 1): the function in force falls from switch to switch. T is closed in on by bisection. It starts
+[Geromel2006]_: the function in force falls from switch to switch. T is closed in on by bisection. It starts
 from ln(mu) / (2 alpha), mu the largest eigenvalue of any P_j^{-1} P_i with rates alpha [Morse1996]_, which is longer.
 
 The problem is solved in balanced coordinates and its answer checked by eigenvalues: the rate reported is the one that
@@ -50,10 +50,10 @@ BISECTIONS = 30
 """Rounds in which the decay rate is closed in on."""
 RATE_TOLERANCE = 1e-3
 """Relative gap between rates that were and were not certified, at which the search ends [-]."""
-MOST_MATRICES = 24
-"""Number of matrices up to which the dwell time is closed in on: every pair is a constraint."""
 DWELL_TOLERANCE = 1e-4
 """Likewise, of dwell times [-]."""
+MOST_MATRICES = 24
+"""Number of matrices up to which the dwell time is closed in on: every pair is a constraint."""
 CONDITION = 1e8
 """Condition of P in balanced coordinates up to which a function is looked for [-]."""
 
@@ -172,10 +172,7 @@ def _least_dwell(matrices: FloatArray, dwell: float, functions: FloatArray) -> t
         middle = 0.5 * (low + high)
         maps = exponentials(matrices * middle)
         falls = [maps[i].T @ P[j] @ maps[i] - P[i] << -slack * identity for i, j in permutations(range(N), 2)]
-        with suppress(CvxpySolverError), warnings.catch_warnings():
-            # An inaccurate solution is checked like any other.
-            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
-            cp.Problem(cp.Maximize(slack), fixed + falls).solve(solver=cp.CLARABEL)
+        _solve(cp.Problem(cp.Maximize(slack), fixed + falls))
         values = [np.asarray(Q.value, dtype=np.float64) for Q in P if Q.value is not None]
         found = np.array([0.5 * (value + value.T) for value in values])
         if len(values) == N and _shows_dwell(matrices, maps, found):
@@ -264,13 +261,15 @@ def _best(matrices: FloatArray, upper: float) -> tuple[FloatArray, float] | None
     return best
 
 
+def _solve(problem: cp.Problem) -> None:
+    """Solve a problem as far as that goes: whatever comes of it, or is left of the one before, is checked afterwards."""
+    with suppress(CvxpySolverError), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
+        problem.solve(solver=cp.CLARABEL)
+
+
 def _attempt(problem: cp.Problem, P: cp.Variable, matrices: FloatArray) -> tuple[FloatArray, float] | None:
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
-            problem.solve(solver=cp.CLARABEL)
-    except CvxpySolverError:
-        return None
+    _solve(problem)
     if P.value is None:
         return None
     value = np.asarray(P.value, dtype=np.float64)

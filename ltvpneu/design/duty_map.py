@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import FloatArray, finite
 from ltvpneu._values import Value
 from ltvpneu.models.cycles.orbit_map import OrbitMap, orbit_map
-from ltvpneu.models.machine.machine import Machine, expect_machine
+from ltvpneu.models.machine.machine import Machine
 
 
 @final
@@ -127,5 +127,4 @@ def duty_map(
     >>> print(f"{found.duty_for(0.045, 15.0):.3f}")
     0.421
     """
-    expect_machine(machine)
     return DutyMap(orbits=orbit_map(machine, duties, frequencies, progress=progress))

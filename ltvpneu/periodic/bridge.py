@@ -89,12 +89,11 @@ def frequency_response(
     )
 
 
-def as_state_space(system: Any) -> "control.StateSpace":
-    """Return a `control.StateSpace` or `control.TransferFunction` as the former."""
+def as_state_space(system: Any) -> Any:
+    """Return a `control.TransferFunction` as a `control.StateSpace`; anything else as it is."""
     import control
 
-    found: Any = control.ss(system) if isinstance(system, control.TransferFunction) else system
-    return found
+    return control.ss(system) if isinstance(system, control.TransferFunction) else system
 
 
 Names = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
@@ -111,8 +110,7 @@ def matrices_of(operand: Any) -> tuple[FloatArray, FloatArray, FloatArray, Float
     """
     import control
 
-    if isinstance(operand, control.TransferFunction):
-        operand = control.ss(operand)
+    operand = as_state_space(operand)
     if isinstance(operand, control.StateSpace):
         if operand.isdtime(strict=True):
             raise ValueError(f"{operand.name}: found discrete time (dt = {operand.dt}), expected continuous time")

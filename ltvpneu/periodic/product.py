@@ -41,7 +41,7 @@ class ProductMultipliers(Value):
     @property
     def spectral_radius(self) -> float:
         """Largest modulus; inf where it is beyond double precision."""
-        return float(_exp(self.log_moduli[:1])[0])
+        return float(exp_of(self.log_moduli[:1])[0])
 
 
 def product_multipliers(factors: Sequence[ArrayLike] | FloatArray) -> ProductMultipliers:
@@ -133,7 +133,7 @@ def from_logs(log_moduli: FloatArray, angles: FloatArray) -> ProductMultipliers:
     """Return multipliers from logarithms and angles, put in order; pairs have equal logarithms and opposite angles."""
     order = falling(log_moduli, angles)
     log_moduli, angles = log_moduli[order], angles[order]
-    moduli, sines = _exp(log_moduli), np.sin(angles)
+    moduli, sines = exp_of(log_moduli), np.sin(angles)
     # A real one exactly so; and part by part, since an infinite modulus times zero is no number.
     sines[angles == np.pi] = 0.0
     multipliers = np.zeros(len(order), dtype=np.complex128)
@@ -149,7 +149,8 @@ def falling(log_moduli: FloatArray, angles: FloatArray) -> IntArray:
     return np.lexsort((-np.sin(angles), -log_moduli))
 
 
-def _exp(logs: FloatArray) -> FloatArray:
+def exp_of(logs: FloatArray) -> FloatArray:
+    """Exponentials, which may be zero or infinite."""
     with np.errstate(over="ignore", under="ignore"):
         return np.exp(logs)
 

@@ -33,6 +33,9 @@ MOST_ITERATIONS = 60
 SMALLEST_PIVOT = 1e-250
 """Against a row's largest entry: what is smaller counts as zero."""
 LARGEST_LOG = 300.0
+"""Of the ratio of two rows' sizes, beyond which the smaller says nothing."""
+SUSPICIOUS = 100.0
+"""Units of rounding below which a diagonal entry may be a zero that rounding hides."""
 LARGEST_RANGE = 200.0
 """Difference of the logarithms of a block's rows up to which its factors are formed as they stand."""
 
@@ -318,7 +321,7 @@ def _suspicious(triangles: FloatArray) -> BoolArray:
     """Return which R_k have a diagonal entry that may be rounding: small against its column, or against its row."""
     diagonals = np.abs(np.diagonal(triangles, axis1=1, axis2=2))
     sizes = np.maximum(np.sqrt((triangles**2).sum(axis=1)), np.sqrt((triangles**2).sum(axis=2)))
-    return (diagonals <= 100 * triangles.shape[1] * EPS * sizes).any(axis=1)
+    return (diagonals <= SUSPICIOUS * triangles.shape[1] * EPS * sizes).any(axis=1)
 
 
 @final

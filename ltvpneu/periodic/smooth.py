@@ -1,13 +1,16 @@
 r"""Steps of constant coefficients that stand for smooth ones, A(t), to a wanted accuracy.
 
 Over a part of length h, with M_1 and M_2 the augmented matrices [[A, B, f], [0, 0, 0]] at Gauss's nodes,
-h (1/2 -+ sqrt(3)/6), Magnus' expansion of fourth order [Blanes2009]_ (section 5.2) has
+h (1/2 -+ sqrt(3)/6), Magnus' expansion of fourth order [Blanes2009]_ has
 
 .. math:: \Omega = \tfrac h2 (M_1 + M_2) + \tfrac{\sqrt3 h^2}{12} [M_2, M_1], \qquad z(h) = e^{\Omega} z(0)
 
 so a step of the constant matrix Omega / h goes from end to end with an error of order h^5. A part is halved until
 its map and that of its two halves differ by less than its share of the tolerance, fifteen times the error of the
 halves.
+
+.. [Blanes2009] S. Blanes, F. Casas, J. A. Oteo and J. Ros, "The Magnus expansion and some of its applications", Physics
+   Reports 470, 2009, section 5.
 """
 
 from collections.abc import Callable

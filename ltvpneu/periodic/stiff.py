@@ -2,12 +2,13 @@ r"""Transition matrices of steps as factors that neither over- nor underflow, ho
 
 A factor is :math:`\mathrm{diag}(e^{l})\,M` with M of moderate entries and l the logarithms of its rows. A step of
 moderate norm is a few equal pieces, l = 0. A stiff one is first taken apart: where the real parts of its eigenvalues
-leave a gap, an ordered Schur form and a Sylvester equation [Golub2013]_ (7.6.3) give A = X diag(A_1, A_2) X^-1, and
+leave a gap, an ordered Schur form and a Sylvester equation [Golub2013]_ give A = X diag(A_1, A_2) X^-1, and
 
 .. math:: e^{A T} = X\, \mathrm{diag}(e^{A_1 T}, e^{A_2 T})\, X^{-1}
 
 in which each block has its mean rate taken out, e^{A_i T} = e^{\mu_i T} e^{(A_i - \mu_i I) T}. So a rate of 1e9 costs
-what one of 1 costs, and its logarithm is as exact.
+a few times what one of 1 costs, and its logarithm is as exact. Where no gap is left, as in a block that is far from
+normal, pieces are all there is.
 
 .. [Golub2013] G. H. Golub, C. F. Van Loan, "Matrix Computations", 4th ed., Johns Hopkins 2013.
 """
