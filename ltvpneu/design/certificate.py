@@ -262,7 +262,7 @@ def _best(matrices: FloatArray, upper: float) -> tuple[FloatArray, float] | None
 
 
 def _solve(problem: cp.Problem) -> None:
-    """Solve a problem as far as that goes: whatever comes of it, or is left of the one before, is checked afterwards."""
+    """Solve a problem as far as that goes; what comes of it, or is left of the one before, is checked afterwards."""
     with suppress(CvxpySolverError), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
         problem.solve(solver=cp.CLARABEL)

@@ -1,12 +1,10 @@
 r"""Monodromy matrix, Floquet multipliers and modes, and the verdict on stability.
 
 Only the multipliers, the eigenvalues of the map over one period, decide: stability in each step is neither needed
-nor enough. They are found from the factors of that map (`product`), not from the map, each step in pieces of moderate
-norm, so that single steps may under- or overflow.
+nor enough. They are found from the factors of that map (`product`), not from the map, each step in factors that neither
+under- nor overflow (`stiff`).
 
-A mode of exponent mu is z(t) = p(t) e^{mu t} with p periodic, and p solves the cyclic system of the steps
-exp((A_k - mu I) T_k), which is singular just because mu is an exponent. So the shape of a mode of a tiny multiplier is
-as accurate as that of the largest.
+A mode of exponent mu is z(t) = p(t) e^{mu t} with p periodic; how p is found: `modes`.
 
 The margin of the verdict covers what rounding does to each factor: the multiplier lambda of right and left vectors
 x_k, y_k along the period moves by [Kato1995]_ (II.2.2)
@@ -20,26 +18,24 @@ x_k, y_k along the period moves by [Kato1995]_ (II.2.2)
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 
-from ltvpneu._arrays import ComplexArray, FloatArray, IntArray, not_negative, read_only
+from ltvpneu._arrays import ComplexArray, FloatArray, not_negative, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import StepOverflowError
-from ltvpneu.periodic.cyclic import Reduced, reduced, reduced_pairs
+from ltvpneu.periodic.modes import Maps, ModeVectors, cyclic_vectors
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.product import expect_converged, falling, from_logs, product_multipliers
+from ltvpneu.periodic.product import exp_of, expect_converged, falling, from_logs, product_multipliers
 from ltvpneu.periodic.propagate import complex_exponentials
 from ltvpneu.periodic.schur import log_eigenvalues
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 LEAST_SHARE, TINY = -27.0, float(np.finfo(float).tiny)
 """Logarithm of a modulus, over the largest or one, below which the whole map has lost it to rounding [-]."""
-LARGEST_RATIO = 300.0
-"""Logarithm of sizes beyond which a state is all or nothing beside another [-]."""
-MODERATE_SIZE = 5.0
-"""Logarithm of sizes up to which they are multiplied as they are [-]."""
+LARGEST_LOG = 700.0
+"""Of a factor of an adjoint shape, beyond which it is cut off so as to stay finite [-]."""
 TRACE_TOLERANCE = 1e-11
 """Of the sum of the logarithms, relative to the norm of A times the period."""
 
@@ -77,35 +73,6 @@ def monodromy(system: PeriodicSystem) -> FloatArray:
             "holds. Its multipliers can still be had: floquet"
         )
     return read_only(found)
-
-
-@final
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Maps(Value):
-    """Maps of a disturbance whose product, the first one first, is the map over the period, in scaled states."""
-
-    factors: FloatArray
-    """(n_maps, n, n); a map is diag(exp(row_logs)) times its factor."""
-    durations: FloatArray
-    """[s]; zero for what happens at once, as at a stop; (n_maps,)."""
-    starts: IntArray
-    """Number of the map that each step begins with, (n_steps,)."""
-    scales: FloatArray
-    """Sizes of the states, (n,)."""
-    row_logs: FloatArray | None = None
-    """Logarithms of the sizes of the factors' rows, (n_maps, n); zero by default."""
-    growth: FloatArray | None = None
-    """What each map adds to the logarithm of each multiplier, in their order, where known; (n_maps, n)."""
-
-    @property
-    def product(self) -> FloatArray:
-        """The map over the period, scaled, (n, n)."""
-        whole = np.eye(self.scales.size)
-        for k, factor in enumerate(self.factors):
-            whole = factor @ whole
-            if self.row_logs is not None:
-                whole *= _exp(self.row_logs[k])[:, None]
-        return whole
 
 
 @final
@@ -187,8 +154,12 @@ class Floquet(Value):
             return 0.0
         backward = np.finfo(float).eps * n * math.sqrt(n_pieces)
         near = np.flatnonzero(self.log_moduli >= self.log_moduli[0] - math.log(2))
-        conditions = [_condition(self._vectors(int(i))) for i in near if self.angles[i] >= 0]
-        return min(max(conditions) * backward, backward ** (1.0 / n))
+        most = backward ** (1.0 / n)
+        try:
+            conditions = [self._vectors(int(i)).condition for i in near if self.angles[i] >= 0]
+        except StepOverflowError:
+            return most
+        return min(max(conditions) * backward, most)
 
     @property
     def is_stable(self) -> bool:
@@ -203,7 +174,7 @@ class Floquet(Value):
     @property
     def separation(self) -> float:
         """Smallest distance between two multipliers within the margin of the unit circle [-]; infinite if one is."""
-        near = self.multipliers[np.abs(_exp(self.log_moduli) - 1) <= self.margin]
+        near = self.multipliers[np.abs(exp_of(self.log_moduli) - 1) <= self.margin]
         distances = np.abs(near[:, None] - near) + np.diag(np.full(near.size, np.inf))
         return float(np.min(distances, initial=np.inf))
 
@@ -247,14 +218,8 @@ class Floquet(Value):
 
         One mode a column, in the order of the multipliers, of unit length where it is longest.
         """
-        found = [self._vectors(i) for i in range(self.multipliers.size)]
-        if not found:
-            return np.zeros((self.maps.starts.size, 0, 0), dtype=np.complex128)
-        vectors = np.stack([pair.shapes[self.maps.starts] for pair in found], axis=2) * self.maps.scales[:, None]
-        logs = np.stack([pair.logs[self.maps.starts] for pair in found], axis=1)
-        with np.errstate(divide="ignore"):
-            longest = np.max(np.log(np.linalg.norm(vectors, axis=1)) + logs, axis=0)
-        return vectors * _exp(logs - longest)[:, None, :]
+        shapes, _, logs = self._at_starts
+        return shapes * exp_of(logs)[:, None, :]
 
     @cached_property
     def adjoint_shapes(self) -> ComplexArray:
@@ -262,20 +227,25 @@ class Floquet(Value):
 
         One a column, so scaled that q^T p = 1 for its own mode.
         """
-        found = [self._vectors(i) for i in range(self.multipliers.size)]
-        if not found:
-            return np.zeros((self.maps.starts.size, 0, 0), dtype=np.complex128)
-        vectors = np.stack([pair.adjoints[self.maps.starts] for pair in found], axis=2) / self.maps.scales[:, None]
-        shapes = np.stack([pair.shapes[self.maps.starts] for pair in found], axis=2) * self.maps.scales[:, None]
-        logs = np.stack([pair.logs[self.maps.starts] for pair in found], axis=1)
+        shapes, adjoints, logs = self._at_starts
+        overlaps = np.sum(adjoints * shapes, axis=1, keepdims=True)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return adjoints / overlaps * exp_of(np.minimum(-logs, LARGEST_LOG))[:, None, :]
+
+    @cached_property
+    def _at_starts(self) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+        """P and q at the start of every step, (n_steps, n, n), and the logarithms that p lacks to be at most one."""
+        maps, n = self.maps, self.multipliers.size
+        shapes = np.zeros((maps.starts.size, n, n), dtype=np.complex128)
+        adjoints, logs = np.zeros_like(shapes), np.zeros((maps.starts.size, n))
+        for i in range(n):
+            found = self._vectors(i)
+            shapes[:, :, i] = found.shapes[maps.starts] * maps.scales
+            adjoints[:, :, i] = found.adjoints[maps.starts] / maps.scales
+            logs[:, i] = found.logs[maps.starts]
         with np.errstate(divide="ignore"):
             longest = np.max(np.log(np.linalg.norm(shapes, axis=1)) + logs, axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return (
-                vectors
-                / np.sum(vectors * shapes, axis=1, keepdims=True)
-                * _exp(np.minimum(longest - logs, 700.0))[:, None, :]
-            )
+        return shapes, adjoints, logs - longest
 
     def mode_shape(self, mode: int, times: FloatArray) -> ComplexArray:
         """Return p(t) of one mode at times within the period [s], shape (n, n_times).
@@ -298,46 +268,30 @@ class Floquet(Value):
         starts = self.mode_shapes[step, :, mode] / scales
         return (scales * (maps @ starts[:, :, None])[:, :, 0]).T
 
-    def _vectors(self, mode: int) -> "_Vectors":
+    def _vectors(self, mode: int) -> ModeVectors:
         """Return p and q of a mode at the start of every piece."""
         if self.angles[mode] < 0:
             # The upper half of a pair stands first.
-            upper = self._upper_vectors(mode - 1)
-            return _Vectors(np.conj(upper.shapes), np.conj(upper.adjoints), upper.logs)
+            return self._upper_vectors(mode - 1).conjugate()
         return self._upper_vectors(mode)
 
-    def _upper_vectors(self, mode: int) -> "_Vectors":
+    def _upper_vectors(self, mode: int) -> ModeVectors:
         if mode not in self._known_vectors:
             of_system = self.system is not None and np.isfinite(self.log_moduli[mode])
             self._known_vectors[mode] = self._vectors_of_system(mode) if of_system else self._vectors_of_product(mode)
         return self._known_vectors[mode]
 
     @cached_property
-    def _known_vectors(self) -> "dict[int, _Vectors]":
+    def _known_vectors(self) -> dict[int, ModeVectors]:
         return {}
 
-    def _vectors_of_system(self, mode: int) -> "_Vectors":
-        """Return p and q by the cyclic system, each factor divided by what the mode grows there.
-
-        So all unknowns are of about one size, and rows larger than that are divided on both sides.
-        """
+    def _vectors_of_system(self, mode: int) -> ModeVectors:
         apart = np.abs(self.log_moduli - self.log_moduli[mode]) + np.abs(self.angles - self.angles[mode])
         # Members of one multiple multiplier take the singular vectors in turn.
         member = int(np.count_nonzero(apart[:mode] < 1e-8))
-        maps, period = self.maps, self.period
-        assert maps.growth is not None
-        assert maps.row_logs is not None
-        shrink = _evenly(maps.growth[:, mode], maps)
-        shrink += (self.log_moduli[mode] - np.sum(shrink)) * maps.durations / period
-        sizes = maps.row_logs - shrink[:, None]
-        # e^{-i angle} once a period, spread evenly in time.
-        phases = np.exp(-1j * self.angles[mode] * maps.durations / period)
-        shapes, adjoints = _null_trajectories(maps.factors * phases[:, None, None], sizes, member)
-        elapsed = np.cumsum(maps.durations) - maps.durations
-        logs = np.cumsum(shrink) - shrink - self.log_moduli[mode] * elapsed / period
-        return _Vectors(shapes, adjoints, logs)
+        return cyclic_vectors(self.maps, mode, float(self.log_moduli[mode]), float(self.angles[mode]), member)
 
-    def _vectors_of_product(self, mode: int) -> "_Vectors":
+    def _vectors_of_product(self, mode: int) -> ModeVectors:
         """Return p and q by the eigenvectors of the whole map, whose factors may be singular, as where a piston stops.
 
         A multiplier below the rounding of one, or of the largest, is as good as zero: what it belongs to is gone after
@@ -361,68 +315,13 @@ class Floquet(Value):
             forward.append(share * (factor @ forward[-1]))
         for factor, share in zip(maps.factors[:0:-1], shrink[:0:-1], strict=True):
             backward.append(share * (factor.T @ backward[-1]))
-        return _Vectors(np.array(forward), np.roll(np.array(backward[::-1]), 1, axis=0), np.zeros(len(forward)))
-
-
-class _Vectors(NamedTuple):
-    """Right and left vectors of a mode at the start of every map, and the logarithms that the right ones lack."""
-
-    shapes: ComplexArray
-    """p, but for exp(logs), (n_maps, n)."""
-    adjoints: ComplexArray
-    """q, but for exp(-logs), (n_maps, n)."""
-    logs: FloatArray
-    """(n_maps,)"""
-
-
-def _evenly(growth: FloatArray, maps: Maps) -> FloatArray:
-    """Return the growth over each step spread evenly over those of its maps that take time."""
-    counts = np.diff(np.append(maps.starts, len(growth)))
-    takes_time = np.where(np.repeat(counts == 1, counts), 1.0, maps.durations > 0)
-    # A step of no duration may have several maps none of which takes time.
-    shared = np.repeat(np.add.reduceat(takes_time, maps.starts), counts)
-    takes_time = np.where(shared > 0, takes_time, 1.0)
-    shared = np.where(shared > 0, shared, np.repeat(counts, counts))
-    return np.repeat(np.add.reduceat(growth, maps.starts), counts) * takes_time / shared
-
-
-def _exp(logs: FloatArray) -> FloatArray:
-    with np.errstate(over="ignore", under="ignore"):
-        return np.exp(logs)
+        return ModeVectors(np.array(forward), np.roll(np.array(backward[::-1]), 1, axis=0), np.zeros(len(forward)))
 
 
 def _eigenvector(matrix: FloatArray, eigenvalue: complex) -> ComplexArray:
     """Return the eigenvector of a matrix whose eigenvalue is nearest to the one given."""
     values, vectors = np.linalg.eig(matrix)
     return vectors[:, int(np.argmin(np.abs(values - eigenvalue)))].astype(np.complex128)
-
-
-def _null_trajectories(factors: ComplexArray, sizes: FloatArray, member: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return p and q of p_{k+1} = diag(exp(sizes)) F_k p_k, a singular cyclic system, each (n_maps, n).
-
-    Rows far from one in size are divided on both sides.
-    """
-    nothing = np.zeros((*factors.shape[:2], 1))
-    if np.abs(sizes).max(initial=0.0) <= MODERATE_SIZE:
-        whole = np.exp(sizes)[:, :, None] * factors
-        backward = _null_trajectory(reduced(np.swapaxes(whole[::-1], 1, 2), nothing), member)
-        return _null_trajectory(reduced(whole, nothing), member), np.roll(backward[::-1], 1, axis=0)
-    # Cut off, and sooner where rows grow: what decays in one step by more than it grows in another stays at zero.
-    left = -np.exp(np.clip(sizes, -2 * LARGEST_RATIO, 0.0))[:, :, None] * factors
-    right = np.zeros_like(left)
-    np.einsum("kii->ki", right)[:] = np.exp(np.clip(-sizes, -LARGEST_RATIO, 0.0))
-    shapes = _null_trajectory(reduced_pairs(left, right, nothing), member)
-    # The adjoint equations are the transposed ones, from the end to the start.
-    transposed = np.swapaxes(left, 1, 2)
-    found = _null_trajectory(reduced_pairs(transposed[::-1], np.roll(right[::-1], -1, axis=0), nothing), member)[::-1]
-    return shapes, -(transposed @ found[:, :, None])[:, :, 0]
-
-
-def _null_trajectory(one: Reduced, member: int) -> ComplexArray:
-    """Return the solution of the singular cyclic system along its smallest singular value but `member`, (N, n)."""
-    right = np.linalg.svd(one.first + one.last)[2]
-    start = np.conj(right[len(right) - 1 - member])[:, None]
-    return one.all_from(start, start)[:-1, :, 0]
 
 
 def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
@@ -497,11 +396,3 @@ def orbit_multipliers(orbit: Orbit, maps: Maps, margin: float) -> Floquet:
         maps=maps,
         orbit=orbit,
     )
-
-
-def _condition(vectors: _Vectors) -> float:
-    """Return the largest |q| |p| / |q^T p| along the period."""
-    p, q = vectors.shapes, vectors.adjoints
-    sizes = np.linalg.norm(q, axis=1) * np.linalg.norm(p, axis=1)
-    overlap = np.abs(np.sum(q * p, axis=1))
-    return float(np.max(np.divide(sizes, overlap, out=np.full(len(p), np.inf), where=overlap > 0)))

@@ -9,7 +9,8 @@ from ltvpneu.models.nonlinear.integrator import Record, log_of
 from ltvpneu.models.nonlinear.orbits import mode_labelled
 from ltvpneu.models.nonlinear.polynomial import PolynomialTrajectory
 from ltvpneu.models.nonlinear.variation import turn_maps
-from ltvpneu.periodic.floquet import Floquet, Maps, orbit_multipliers
+from ltvpneu.periodic.floquet import Floquet, orbit_multipliers
+from ltvpneu.periodic.modes import Maps
 from ltvpneu.periodic.orbit import Orbit
 
 PARTS = 4
