@@ -60,6 +60,7 @@ from .models.nonlinear.stroke import stroke as stroke
 from .periodic.floquet import Floquet as Floquet
 from .periodic.floquet import floquet as floquet
 from .periodic.floquet import monodromy as monodromy
+from .periodic.forced import forced_response as forced_response
 from .periodic.gramians import Gramians as Gramians
 from .periodic.gramians import gramians as gramians
 from .periodic.harmonic import frequency_response as frequency_response
@@ -90,9 +91,9 @@ from .periodic.sensitivity import Gradient as Gradient
 from .periodic.sensitivity import Sensitivity as Sensitivity
 from .periodic.sensitivity import sensitivity as sensitivity
 from .periodic.steady import steady_state as steady_state
+from .periodic.step import Step as Step
 from .periodic.switching import SwitchAware as SwitchAware
 from .periodic.system import PeriodicSystem as PeriodicSystem
-from .periodic.system import Step as Step
 from .periodic.variation import Variation as Variation
 from .physics.catalog import catalog_cylinder as catalog_cylinder
 from .physics.cylinder import Cylinder as Cylinder

@@ -46,6 +46,13 @@ class ExponentialTrajectory(Value):
         return self.system.scaled.augmented(self.step_states)
 
     @cached_property
+    def ends(self) -> FloatArray:
+        """Balanced augmented states at the ends of the steps, before any jump, shape (n_steps, n + 1)."""
+        if self.system.has_jumps:
+            return (self.system.flows.maps @ self.starts[:, :, None])[:, :, 0]
+        return np.roll(self.starts, -1, axis=0)
+
+    @cached_property
     def rows(self) -> FloatArray:
         """Signals over the balanced augmented state, shape (n_steps, n_signals, n + 1)."""
         system, scales = self.system, self.system.scaled.scales

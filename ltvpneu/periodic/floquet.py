@@ -27,7 +27,7 @@ from ltvpneu._values import Value
 from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic.modes import Maps, ModeVectors, cyclic_vectors
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.product import exp_of, expect_converged, falling, from_logs, product_multipliers
+from ltvpneu.periodic.product import exp_of, expect_converged, falling, from_logs, product_multipliers, rank_of
 from ltvpneu.periodic.propagate import complex_exponentials
 from ltvpneu.periodic.schur import log_eigenvalues
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
@@ -277,7 +277,7 @@ class Floquet(Value):
 
     def _upper_vectors(self, mode: int) -> ModeVectors:
         if mode not in self._known_vectors:
-            of_system = self.system is not None and np.isfinite(self.log_moduli[mode])
+            of_system = self.maps.growth is not None and np.isfinite(self.log_moduli[mode])
             self._known_vectors[mode] = self._vectors_of_system(mode) if of_system else self._vectors_of_product(mode)
         return self._known_vectors[mode]
 
@@ -347,6 +347,8 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     'stable'
     """
     expect_system(system)
+    if system.has_jumps and _jumps_are_singular(system):
+        return _of_singular_jumps(system, not_negative("least_margin", least_margin))
     factors = system.factors
     found = log_eigenvalues(factors.matrices, factors.row_logs)
     expect_converged(found, len(factors.matrices), system.n_states)
@@ -371,9 +373,41 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     )
 
 
+def _jumps_are_singular(system: PeriodicSystem) -> bool:
+    """Return whether a jump forgets some direction of the state, to rounding."""
+    return any(rank_of(jump) < system.n_states for jump in system.scaled_jumps[system.jumps_at, :-1, :-1])
+
+
+def _of_singular_jumps(system: PeriodicSystem, least_margin: float) -> Floquet:
+    """Return the multipliers of a system whose jumps make some of them zero: as those of a product of maps."""
+    n, N = system.n_states, system.n_steps
+    flows, jumps = system.flows.maps[:, :n, :n], system.scaled_jumps[:, :n, :n]
+    factors = np.stack([flows, jumps], axis=1).reshape(2 * N, n, n)
+    found = product_multipliers(factors)
+    return Floquet(
+        period=system.period,
+        multipliers=found.multipliers,
+        log_moduli=found.log_moduli,
+        angles=found.angles,
+        least_margin=least_margin,
+        maps=Maps(
+            factors=factors,
+            durations=np.stack([system.durations, np.zeros(N)], axis=1).ravel(),
+            starts=2 * np.arange(N),
+            scales=system.scaled.scales,
+        ),
+        system=system,
+    )
+
+
 def _expect_trace(system: PeriodicSystem, log_moduli: FloatArray) -> None:
-    """Raise `StepOverflowError` unless the logarithms sum to the integral of the trace of A: Liouville's formula."""
+    """Raise `StepOverflowError` unless the logarithms sum to the integral of the trace of A: Liouville's formula.
+
+    Each jump adds the logarithm of its determinant.
+    """
     traces = np.einsum("kii->k", system.A) * system.durations
+    if system.has_jumps:
+        traces = traces + np.linalg.slogdet(system.scaled_jumps)[1]
     size = float((np.abs(system.scaled.matrices[:, :-1, :-1]).max(axis=(1, 2), initial=0.0) * system.durations).sum())
     gap = abs(float(np.sum(log_moduli)) - float(np.sum(traces)))
     if not gap <= TRACE_TOLERANCE * max(size, 1.0) * max(system.n_states, 1):

@@ -79,7 +79,8 @@ class Gramians(Value):
         following = (step + 1) % system.n_steps
         P, Q = self.balanced_factors
         from_start = exponentials(A * local[:, None, None]) @ P[step]
-        to_end = np.swapaxes(exponentials(A * left[:, None, None]), 1, 2) @ Q[following]
+        jumped = system.scaled_jumps[step, :-1, :-1] @ exponentials(A * left[:, None, None])
+        to_end = np.swapaxes(jumped, 1, 2) @ Q[following]
         return np.concatenate([since, from_start], axis=2), np.concatenate([until, to_end], axis=2)
 
 
@@ -105,10 +106,11 @@ def gramians(system: PeriodicSystem) -> Gramians:
     A, B, C = balanced_matrices(system)
     steps = step_gramians(A, B, C, system.durations)
     maps = system.maps.maps[:, :-1, :-1]
+    reached = system.scaled_jumps[:, :-1, :-1] @ steps.controllability
     backward = periodic_factors(np.swapaxes(maps[::-1], 1, 2), steps.observability[::-1])
     return Gramians(
         system=system,
-        balanced_factors=(periodic_factors(maps, steps.controllability), from_reversed(backward)),
+        balanced_factors=(periodic_factors(maps, reached), from_reversed(backward)),
     )
 
 

@@ -124,6 +124,8 @@ def _periodic_shape(system: PeriodicSystem, shifted: ComplexArray, B: FloatArray
     augmented[:, :n, :n], augmented[:, :n, n:] = shifted, B
     maps = complex_exponentials(augmented * (system.durations / pieces)[:, None, None])
     maps = np.repeat(maps, pieces, axis=0)
+    ends = np.cumsum(pieces) - 1
+    maps[ends, :n] = system.scaled_jumps[:, :n, :n] @ maps[ends, :n]
     one = reduced(maps[:, :n, :n], maps[:, :n, n:])
     gap = one.first + one.last
     values = np.linalg.svd(gap, compute_uv=False)

@@ -21,7 +21,7 @@ from ltvpneu._arrays import FloatArray, positive
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.gramians import balanced_matrices, gramians
 from ltvpneu.periodic.propagate import balancing_scales
-from ltvpneu.periodic.scattering import bounded_period, bounded_steps
+from ltvpneu.periodic.scattering import Scattering, bounded_period, bounded_steps
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 
@@ -80,9 +80,12 @@ def hinf_norm(system: PeriodicSystem, *, rtol: float = 1e-14) -> float:
 
 def _is_bound(system: PeriodicSystem, gamma: float) -> bool:
     """Return whether gamma exceeds the norm."""
-    steps = bounded_steps(*_game(system, gamma), system.durations)
+    A, G, Q, jumps = _game(system, gamma)
+    steps = bounded_steps(A, G, Q, system.durations)
     if steps is None:
         return False
+    if system.has_jumps:
+        steps = steps.then(Scattering(E=jumps, G=np.zeros_like(jumps), H=np.zeros_like(jumps)))
     total = bounded_period(steps)
     if total is None:
         return False
@@ -96,8 +99,8 @@ def _is_bound(system: PeriodicSystem, gamma: float) -> bool:
     return True
 
 
-def _balanced_with_ports(system: PeriodicSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return A, B and C in states that balance what inputs do to them with what they do to outputs.
+def _balanced_with_ports(system: PeriodicSystem) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return A, B, C and the jumps in states that balance what inputs do to them with what they do to outputs.
 
     Where A couples states but weakly, it alone says little about their units.
     """
@@ -108,14 +111,15 @@ def _balanced_with_ports(system: PeriodicSystem) -> tuple[FloatArray, FloatArray
     ports[:, :n, n], ports[:, n, :n] = np.abs(B).max(axis=2), np.abs(C).max(axis=1)
     scales = balancing_scales(ports, system.durations)
     states = scales[:n] / scales[n]
-    return A * (states / states[:, None]), B / states[:, None], C * states
+    turned = states / states[:, None]
+    return A * turned, B / states[:, None], C * states, system.scaled_jumps[:, :n, :n] * turned
 
 
-def _game(system: PeriodicSystem, gamma: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return balanced A, G and Q of each step for outputs over gamma."""
-    A, B, C = _balanced_with_ports(system)
+def _game(system: PeriodicSystem, gamma: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return balanced A, G, Q of each step for outputs over gamma, and the jumps at their ends."""
+    A, B, C, jumps = _balanced_with_ports(system)
     D = system.D / gamma
     Bt, Ct, Dt = (np.swapaxes(part, 1, 2) for part in (B, C, D))
     inputs = np.asarray(np.linalg.inv(np.eye(D.shape[2]) - Dt @ D), dtype=np.float64)
     outputs = np.asarray(np.linalg.inv(np.eye(D.shape[1]) - D @ Dt), dtype=np.float64)
-    return A + B @ inputs @ Dt @ C / gamma, -B @ inputs @ Bt / gamma, Ct @ outputs @ C / gamma
+    return A + B @ inputs @ Dt @ C / gamma, -B @ inputs @ Bt / gamma, Ct @ outputs @ C / gamma, jumps

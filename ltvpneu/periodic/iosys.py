@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
+from ltvpneu.periodic.system import PeriodicSystem, expect_no_jumps, expect_system
 
 if TYPE_CHECKING:
     import control
@@ -19,6 +19,11 @@ def to_iosys(system: PeriodicSystem, *, name: str | None = None) -> "control.Non
     system : PeriodicSystem
     name : str, optional
         The system's by default.
+
+    Raises
+    ------
+    ValueError
+        The state jumps, which no python-control block can.
 
     Returns
     -------
@@ -39,4 +44,5 @@ def to_iosys(system: PeriodicSystem, *, name: str | None = None) -> "control.Non
     from ltvpneu.periodic.block import PeriodicIOSystem
 
     expect_system(system)
+    expect_no_jumps(system, "to_iosys")
     return PeriodicIOSystem(system, name or system.name)

@@ -8,7 +8,7 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.bridge import CONSTANT_INPUT
 from ltvpneu.periodic.propagate import forced_exponentials
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
+from ltvpneu.periodic.system import PeriodicSystem, expect_no_jumps, expect_system
 
 if TYPE_CHECKING:
     import control
@@ -82,6 +82,11 @@ def averaged(system: PeriodicSystem) -> "control.StateSpace":
 
     A good model where every step is short against the system's own times, and only there.
 
+    Raises
+    ------
+    ValueError
+        The state jumps.
+
     Returns
     -------
     control.StateSpace
@@ -95,6 +100,7 @@ def averaged(system: PeriodicSystem) -> "control.StateSpace":
     array([[-2.]])
     """
     expect_system(system)
+    expect_no_jumps(system, "averaged")
     weights = system.durations / system.period
     A, B, r, C, D, q = (
         np.tensordot(weights, part, axes=1) for part in (system.A, system.B, system.r, system.C, system.D, system.q)
@@ -116,9 +122,13 @@ def _input_maps(system: PeriodicSystem) -> FloatArray:
     matrices = np.zeros((N, n + m + 1, n + m + 1))
     matrices[:, :n, :n], matrices[:, :n, n:] = system.scaled.matrices[:, :n, :n], forced * units
     # Raises where a step overflows.
-    _ = system.maps
+    _ = system.flows
     maps = forced_exponentials(matrices * system.durations[:, None, None], n)[:, :n]
-    return maps * scales[:, None] / np.concatenate([scales, units])
+    maps = maps * scales[:, None] / np.concatenate([scales, units])
+    if system.J is not None and system.j is not None:
+        maps = system.J @ maps
+        maps[:, :, -1] += system.j
+    return maps
 
 
 def _held_together(rows: FloatArray, N: int, n: int) -> FloatArray:

@@ -161,6 +161,9 @@ def lyapunov_factors(system: PeriodicSystem, B: ArrayLike, *, adjoint: bool = Fa
     durations = system.durations[::-1] if adjoint else system.durations
     nothing = np.zeros((N, 0, n))
     gains = step_gramians(A, columns / scales[:, None], nothing, durations).controllability
+    if not adjoint:
+        # What came in within a step jumps at its end; backward it comes in before the jump is reached.
+        gains = system.scaled_jumps[:, :n, :n] @ gains
     found = periodic_factors(maps, gains) * scales[:, None]
     return read_only(from_reversed(found) if adjoint else found)
 

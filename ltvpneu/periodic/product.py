@@ -223,7 +223,7 @@ def _equilibrated(factors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _first_deficient(factors: FloatArray, suspicious: BoolArray) -> int | None:
     """Return the first factor that is singular to rounding however its rows and columns are scaled, or None."""
     for k in np.flatnonzero(suspicious):
-        if _rank(factors[k])[0] < factors.shape[1]:
+        if rank_of(factors[k]) < factors.shape[1]:
             return int(k)
     return None
 
@@ -271,6 +271,11 @@ def _rank_modulo(matrix: IntArray, prime: int) -> int:
         left[rank + 1 :] = (left[rank + 1 :] - below[:, None] * left[rank] % prime) % prime
         rank += 1
     return rank
+
+
+def rank_of(matrix: FloatArray) -> int:
+    """Return the rank, to rounding, however rows and columns are scaled."""
+    return _rank(matrix)[0]
 
 
 def _rank(matrix: FloatArray) -> tuple[int, FloatArray, FloatArray]:

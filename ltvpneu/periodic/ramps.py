@@ -65,7 +65,7 @@ def ramped(starts: PeriodicSystem, ends: PeriodicSystem, *, parts: int = 8, orde
             raise ValueError(
                 f"ends: found {kind} {getattr(ends, kind)}, expected those of starts: {getattr(starts, kind)}"
             )
-    for kind in ("durations", "levels"):
+    for kind in ("durations", "levels", "J", "j"):
         if not np.array_equal(getattr(starts, kind), getattr(ends, kind)):
             raise ValueError(f"ends: found other {kind} than in starts, expected the same")
     if order not in (2, 4):
@@ -96,7 +96,7 @@ def ramped(starts: PeriodicSystem, ends: PeriodicSystem, *, parts: int = 8, orde
         means["A"] = means["A"] + correction[:, :, :n]
         means["B"] = means["B"] + correction[:, :, n:-1]
         means["r"] = means["r"] + correction[:, :, -1]
-    return replace(starts, durations=h, **means)
+    return replace(starts.with_parts(h, step, number == counts[step] - 1), **means)
 
 
 def _matrices(

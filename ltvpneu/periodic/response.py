@@ -65,7 +65,7 @@ def response(
     for period in range(n_periods):
         for m, step in enumerate(maps):
             reached = step @ state
-            state = reached[-1]
+            state = system.scaled_jumps[m] @ reached[-1] if system.has_jumps else reached[-1]
             inside = steps.physical(reached[:-1])
             times.append(period * system.period + system.switching_times[m] + local_times[m][:-1])
             states.append(inside)

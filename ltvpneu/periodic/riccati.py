@@ -79,7 +79,9 @@ class Regulator(Value):
         step, local = system.step_at(np.mod(finite_array("times", times, (None,)), system.period))
         A, G, Q = (part[step] for part in _hamiltonian_parts(system, self.weights))
         scales = system.scaled.scales
+        jumps = system.scaled_jumps[step, :-1, :-1]
         after = self.cost_to_go[(step + 1) % system.n_steps] * scales[:, None] * scales
+        after = np.swapaxes(jumps, 1, 2) @ after @ jumps
         within = continuous_steps(A, G, Q, system.durations[step] - local)
         return within.cost_before(after) / scales[:, None] / scales
 
@@ -169,7 +171,8 @@ def lqr(
     weights = _weights(system, Q, R, S)
     if sampled:
         return _sampled_regulator(system, weights)
-    solution = _solved(continuous_steps(*_hamiltonian_parts(system, weights), system.durations), system, "stabilizable")
+    steps = continuous_steps(*_hamiltonian_parts(system, weights), system.durations)
+    solution = _solved(steps.then(_jumps(system)) if system.has_jumps else steps, system, "stabilizable")
     scales = system.scaled.scales
     found = Regulator(
         system=system,
@@ -225,10 +228,14 @@ def kalman(system: PeriodicSystem, Qn: ArrayLike, Rn: ArrayLike, *, sampled: boo
     long = system.durations[:, None, None] > 0
     if sampled:
         gained = step_gramians(np.swapaxes(A, 1, 2), _root(Q), np.zeros((N, 0, n)), system.durations).controllability
-        maps = system.maps.maps[:, :n, :n]
+        maps = system.flows.maps[:, :n, :n]
         steps = Scattering(E=np.swapaxes(maps, 1, 2), G=np.where(long, G, 0.0), H=gained @ np.swapaxes(gained, 1, 2))
     else:
         steps = continuous_steps(A, G, Q, system.durations)
+    if system.has_jumps:
+        # The dual runs backward: it meets the jump first.
+        jumps = _jumps(system)
+        steps = Scattering(E=np.swapaxes(jumps.E, 1, 2), G=jumps.G, H=jumps.H).then(steps)
     backward = Scattering(E=steps.E[::-1], G=steps.G[::-1], H=steps.H[::-1])
     solution = _solved(backward, system, "detectable")
     scales = system.scaled.scales
@@ -245,6 +252,12 @@ def kalman(system: PeriodicSystem, Qn: ArrayLike, Rn: ArrayLike, *, sampled: boo
         is_sampled=sampled,
         residual=solution.residual,
     )
+
+
+def _jumps(system: PeriodicSystem) -> Scattering:
+    """Return the jumps at the ends of all steps, which cost nothing, in balanced coordinates."""
+    jumps = system.scaled_jumps[:, :-1, :-1]
+    return Scattering(E=jumps, G=np.zeros_like(jumps), H=np.zeros_like(jumps))
 
 
 class _Solution(NamedTuple):
@@ -343,7 +356,9 @@ def _sampled_regulator(system: PeriodicSystem, weights: Weights) -> Regulator:
     factors = step_gramians(held, np.zeros((N, n + m, 0)), root, system.durations).observability
     paid = factors @ np.swapaxes(factors, 1, 2)
     maps = exponentials(held * system.durations[:, None, None])
-    F, Gamma = maps[:, :n, :n], maps[:, :n, n:]
+    # The jump at the end of a step, of no cost, is part of its map.
+    jumps = system.scaled_jumps[:, :n, :n]
+    F, Gamma = jumps @ maps[:, :n, :n], jumps @ maps[:, :n, n:]
     # A step of no duration costs nothing and moves nothing: any R will do there.
     R = np.where(system.durations[:, None, None] > 0, paid[:, n:, n:], np.eye(m))
     from_inputs = solved(R, np.swapaxes(Gamma, 1, 2))

@@ -177,7 +177,7 @@ class Sensitivity(Value):
         n, scales = system.n_states, system.scaled.scales
         p = found.mode_shapes[:, :, i] / scales
         q = found.adjoint_shapes[:, :, i] * scales
-        after = np.roll(p, -1, axis=0), np.roll(q, -1, axis=0)
+        after = self._mode_at_ends(p, i), self._before_jumps(np.roll(q, -1, axis=0))
         A = system.scaled.matrices[:, :n, :n]
         shifted = np.swapaxes(A - found.exponents[i] * np.eye(n), 1, 2)
         integrals = _products((shifted, shifted), (after[1], p), system.durations)
@@ -224,8 +224,21 @@ class Sensitivity(Value):
 
     @cached_property
     def _ends(self) -> FloatArray:
-        """Balanced augmented states at the ends of the steps, (N, n + 1)."""
-        return np.roll(self._trajectory.starts, -1, axis=0)
+        """Balanced augmented states at the ends of the steps, before any jump, (N, n + 1)."""
+        return self._trajectory.ends
+
+    def _before_jumps(self, after: NDArray[Any]) -> NDArray[Any]:
+        """Return costates at the ends of the steps from those after the jumps there, (N, n)."""
+        jumps = self.system.scaled_jumps[:, :-1, :-1]
+        return np.einsum("kji,kj->ki", jumps, after) if self.system.has_jumps else after
+
+    def _mode_at_ends(self, p: ComplexArray, i: int) -> ComplexArray:
+        """Return the shape of a mode at the ends of the steps, before any jump, (N, n), in balanced coordinates."""
+        system = self.system
+        if not system.has_jumps:
+            return np.roll(p, -1, axis=0)
+        flows = system.flows.maps[:, :-1, :-1] * np.exp(-self.floquet.exponents[i] * system.durations)[:, None, None]
+        return (flows @ p[:, :, None])[:, :, 0]
 
     def _feedthrough(self, row: int) -> FloatArray:
         """Return how a signal depends on the input levels directly, (N, m)."""
@@ -307,7 +320,8 @@ class Sensitivity(Value):
         backward[:, :n, n] = functional.density
         added = exponentials(backward * T[:, None, None])[:, :n, n]
         costates = solve_cyclic_adjoint(system.maps.maps[:, :n, :n], (added + functional.seeds)[:, :, None])[:, :, 0]
-        ends = np.roll(costates, -1, axis=0)
+        # Before the jump, of which the costate is the transposed one's.
+        ends = self._before_jumps(np.roll(costates, -1, axis=0))
         integrals = _products(
             (backward, np.swapaxes(matrices, 1, 2)),
             (np.column_stack([ends, np.ones(N)]), self._trajectory.starts),

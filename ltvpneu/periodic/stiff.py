@@ -20,7 +20,7 @@ from typing import cast, final
 import numpy as np
 from scipy.linalg import block_diag, schur, solve_sylvester
 
-from ltvpneu._arrays import FloatArray, IntArray
+from ltvpneu._arrays import BoolArray, FloatArray, IntArray
 from ltvpneu._values import Value
 from ltvpneu.periodic.propagate import exponentials
 
@@ -83,6 +83,17 @@ def step_factors(A: FloatArray, durations: FloatArray) -> Factors:
         row_logs=np.array([logs for part in parts for _, logs, _ in part]),
         durations=np.repeat(durations, counts) * shares / n_long,
         starts=np.cumsum(counts) - counts,
+    )
+
+
+def with_jumps(factors: Factors, jumps: FloatArray, jumps_at: BoolArray) -> Factors:
+    """Return the factors with those of jumps (n_steps, n, n) after the steps at whose ends the state jumps."""
+    n, ends = jumps.shape[1], np.append(factors.starts[1:], len(factors.matrices))[jumps_at]
+    return Factors(
+        matrices=np.insert(factors.matrices, ends, jumps[jumps_at], axis=0),
+        row_logs=np.insert(factors.row_logs, ends, np.zeros(n), axis=0),
+        durations=np.insert(factors.durations, ends, 0.0),
+        starts=factors.starts + np.cumsum(jumps_at) - jumps_at,
     )
 
 

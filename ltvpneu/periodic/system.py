@@ -4,70 +4,30 @@ On step m, of duration T_m, with input levels u,
 
     z' = A_m z + B_m u + r_m,    y = C_m z + D_m u + q_m
 
-so the forcing of eq. (8a) is f_m = B_m u + r_m. The whole is a value: arrays are copied, checked and closed to writing.
+so the forcing of eq. (8a) is f_m = B_m u + r_m. At the end of a step the state may jump, z+ = J_m z- + j_m. The whole
+is a value: arrays are copied, checked and closed to writing.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import FloatArray, IntArray, finite_array, positive, read_only
+from ltvpneu._arrays import BoolArray, FloatArray, IntArray, finite_array, positive, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import StepOverflowError
-from ltvpneu.periodic import bridge
 from ltvpneu.periodic.bridge import CONSTANT_INPUT
+from ltvpneu.periodic.joined import in_parallel, in_series
 from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step_maps
 from ltvpneu.periodic.smooth import Function, smooth_steps
-from ltvpneu.periodic.stiff import NORM_OF_A_PIECE, Factors, step_factors
-
-if TYPE_CHECKING:
-    import control
+from ltvpneu.periodic.step import Step
+from ltvpneu.periodic.stiff import NORM_OF_A_PIECE, Factors, step_factors, with_jumps
 
 Matrices = Sequence[ArrayLike] | FloatArray
 """One matrix or vector a step: a list of them, or a stack."""
-
-
-@final
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Step(Value):
-    """One step: z' = A z + B u + r, y = C z + D u + q over a duration."""
-
-    duration: float
-    """[s]"""
-    A: FloatArray
-    """(n, n)"""
-    B: FloatArray
-    """(n, m)"""
-    r: FloatArray
-    """(n,)"""
-    C: FloatArray
-    """(p, n)"""
-    D: FloatArray
-    """(p, m)"""
-    q: FloatArray
-    """(p,)"""
-    f: FloatArray
-    """B u + r at the system's input levels, (n,)"""
-    names: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
-    """Of states, inputs and outputs."""
-    name: str
-
-    @property
-    def sys(self) -> "control.StateSpace":
-        """The step as a named `control.StateSpace`.
-
-        Where the step has a remainder r or an output offset q, a last input named "one" carries them.
-        """
-        states, inputs, outputs = self.names
-        B, D = self.B, self.D
-        if self.r.any() or self.q.any():
-            B, D = np.column_stack([B, self.r]), np.column_stack([D, self.q])
-            inputs = (*inputs, CONSTANT_INPUT)
-        return bridge.state_space((self.A, B, self.C, D), (states, inputs, outputs), self.name)
 
 
 GROWTH = 1e3
@@ -100,6 +60,12 @@ def expect_system(system: object) -> None:
         raise TypeError(f"system: found {type(system).__name__}, expected a PeriodicSystem{hint}")
 
 
+def expect_no_jumps(system: "PeriodicSystem", what: str) -> None:
+    """Raise `ValueError` if the state jumps."""
+    if system.has_jumps:
+        raise ValueError(f"{what}: found a system whose state jumps at the ends of steps, expected one without jumps")
+
+
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PeriodicSystem(Value):
@@ -120,6 +86,10 @@ class PeriodicSystem(Value):
         Values of the inputs.
     states, inputs, outputs : tuple of str
     name : str
+    J : array_like, shape (n_steps, n, n), optional
+        Jumps of the state at the ends of the steps, z+ = J z- + j; none by default.
+    j : array_like, shape (n_steps, n), optional
+        Zero by default.
 
     Examples
     --------
@@ -143,6 +113,8 @@ class PeriodicSystem(Value):
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     name: str = "periodic"
+    J: FloatArray | None = None
+    j: FloatArray | None = None
 
     def __post_init__(self) -> None:
         durations = finite_array("durations", self.durations, (None,))
@@ -160,6 +132,11 @@ class PeriodicSystem(Value):
         object.__setattr__(self, "durations", durations)
         for field, shape in shapes.items():
             object.__setattr__(self, field, finite_array(field, getattr(self, field), shape))
+        if self.J is not None or self.j is not None:
+            J = np.tile(np.eye(n), (N, 1, 1)) if self.J is None else self.J
+            j = np.zeros((N, n)) if self.j is None else self.j
+            object.__setattr__(self, "J", finite_array("J", J, (N, n, n)))
+            object.__setattr__(self, "j", finite_array("j", j, (N, n)))
         if len(self.states) != n:
             raise ValueError(f"states: found {len(self.states)} names {self.states}, expected {n}")
         for kind in ("states", "inputs", "outputs"):
@@ -171,7 +148,8 @@ class PeriodicSystem(Value):
 
     def __repr__(self) -> str:
         ports = f"{self.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
-        return f"<PeriodicSystem {self.name}: {self.n_steps} steps in {self.period:.6g} s, {ports}>"
+        jumps = f", {np.count_nonzero(self.jumps_at)} jumps" if self.has_jumps else ""
+        return f"<PeriodicSystem {self.name}: {self.n_steps} steps in {self.period:.6g} s, {ports}{jumps}>"
 
     @classmethod
     def from_matrices(
@@ -276,6 +254,29 @@ class PeriodicSystem(Value):
         inputs = None if B is None else parts[:, :, n:-1]
         return cls.from_matrices(parts[:, :, :n], parts[:, :, -1], durations, B=inputs)
 
+    def with_jumps(self, J: Matrices, j: Matrices | None = None) -> "PeriodicSystem":
+        """Return the system whose state jumps at the end of each step, z+ = J z- + j: an impact, a reset.
+
+        Parameters
+        ----------
+        J : sequence of array_like, shape (n, n)
+            One a step, the identity where nothing jumps.
+        j : sequence of array_like, shape (n,), optional
+            Zero by default.
+
+        Examples
+        --------
+        A capacitor that is charged to 1 V, and loses half of its charge once a second:
+
+        >>> import ltvpneu as lp
+        >>> charged = lp.PeriodicSystem.from_matrices([[[-1.0]]], [[1.0]], [1.0])
+        >>> halved = charged.with_jumps([[[0.5]]])
+        >>> orbit = lp.steady_state(halved)
+        >>> print(f"{orbit.maximum('z1'):.4f} V, then {orbit.minimum('z1'):.4f} V")
+        0.7746 V, then 0.3873 V
+        """
+        return replace(self, J=finite_array("J", J), j=None if j is None else finite_array("j", j))
+
     def with_levels(self, levels: ArrayLike) -> "PeriodicSystem":
         """Return the system with other values of its inputs, shape (m,)."""
         return replace(self, levels=finite_array("levels", levels, (len(self.inputs),)))
@@ -378,21 +379,40 @@ class PeriodicSystem(Value):
             raise ValueError(f"pieces: found {counts.size} numbers, expected one for each of the {self.n_steps} steps")
         if counts.max() == 1:
             return self
-        repeated = {field: np.repeat(getattr(self, field), counts, axis=0) for field in ("A", "B", "r", "C", "D", "q")}
-        return replace(self, durations=np.repeat(self.durations / counts, counts), **repeated)
+        ends = np.zeros(int(counts.sum()), dtype=np.bool_)
+        ends[np.cumsum(counts) - 1] = True
+        step = np.repeat(np.arange(self.n_steps), counts)
+        return self.with_parts(np.repeat(self.durations / counts, counts), step, ends)
+
+    def with_parts(self, durations: FloatArray, step: IntArray, ends: BoolArray) -> "PeriodicSystem":
+        """Return the system made of parts of its steps, each as long as given; the state jumps where a step `ends`."""
+        parts = {field: getattr(self, field)[step] for field in ("A", "B", "r", "C", "D", "q")}
+        if self.J is None or self.j is None:
+            return replace(self, durations=durations, **parts)
+        J = np.where(ends[:, None, None], self.J[step], np.eye(self.n_states))
+        return replace(self, durations=durations, J=J, j=np.where(ends[:, None], self.j[step], 0.0), **parts)
 
     def without_empty_steps(self) -> "PeriodicSystem":
-        """Return the system without its steps of no duration."""
+        """Return the system without its steps of no duration; their jumps follow those of the step before."""
         kept = self.durations > 0
         if kept.all():
             return self
-        parts = {field: getattr(self, field)[kept] for field in ("durations", "A", "B", "r", "C", "D", "q")}
-        return replace(self, **parts)
+        numbers = np.flatnonzero(kept)
+        found = self.with_parts(self.durations[kept], numbers, np.ones(numbers.size, dtype=np.bool_))
+        if self.J is None or self.j is None:
+            return found
+        jumps, shifts = self.J[kept], self.j[kept]
+        # From the first step that is kept on, once round the period.
+        for k in np.roll(np.arange(self.n_steps), -numbers[0]):
+            if not kept[k]:
+                before = np.searchsorted(numbers, k) - 1
+                jumps[before], shifts[before] = self.J[k] @ jumps[before], self.J[k] @ shifts[before] + self.j[k]
+        return replace(found, J=jumps, j=shifts)
 
     @cached_property
     def growing_pieces(self) -> IntArray:
         """Number of equal pieces to take each step in, shape (n_steps,); one unless the state grows by `GROWTH`."""
-        sizes = np.abs(self._maps.maps[:, :-1, :-1])
+        sizes = np.abs(self._flows.maps[:, :-1, :-1])
         if sizes.max(initial=0.0) <= GROWTH:
             return np.ones(self.n_steps, dtype=np.int64)
         growing = ~(sizes.max(axis=(1, 2), initial=0.0) <= GROWTH)
@@ -423,15 +443,66 @@ class PeriodicSystem(Value):
             )
         return np.maximum(np.ceil(norms / limit), 1).astype(np.int64)
 
+    def __mul__(self, other: Any) -> "PeriodicSystem":
+        """Return `other`, then this system, as `control.StateSpace` has it; of a number, this system times it."""
+        if isinstance(other, int | float | np.number):
+            return in_series(self, float(other) * np.eye(len(self.outputs)), self)
+        return in_series(other, self, self)
+
+    def __rmul__(self, other: Any) -> "PeriodicSystem":
+        """Return this system, then `other`; of a number, this system times it."""
+        return self * other if isinstance(other, int | float | np.number) else in_series(self, other, self)
+
+    def __add__(self, other: Any) -> "PeriodicSystem":
+        """Return both with the same inputs and the sum of their outputs."""
+        return in_parallel(self, other, self)
+
+    def __radd__(self, other: Any) -> "PeriodicSystem":
+        """Return the same sum, the states of `other` first."""
+        return in_parallel(other, self, self)
+
+    def __neg__(self) -> "PeriodicSystem":
+        """Return the system with its outputs' signs turned."""
+        return replace(self, C=-self.C, D=-self.D, q=-self.q)
+
+    def __sub__(self, other: Any) -> "PeriodicSystem":
+        """Return the difference of the outputs, with the same inputs."""
+        return in_parallel(self, -other, self)
+
+    def __rsub__(self, other: Any) -> "PeriodicSystem":
+        """Return the difference of the outputs, with the same inputs."""
+        return in_parallel(other, -self, self)
+
+    __array_ufunc__ = None
+    """So that numpy leaves a matrix times a system to the system."""
+
+    @property
+    def has_jumps(self) -> bool:
+        """Whether jumps of the state are given."""
+        return self.J is not None
+
+    @property
+    def jumps_at(self) -> BoolArray:
+        """Whether the state jumps at the end of each step, shape (n_steps,)."""
+        if self.J is None or self.j is None:
+            return np.zeros(self.n_steps, dtype=np.bool_)
+        return (np.eye(self.n_states) != self.J).any(axis=(1, 2)) | self.j.any(axis=1)
+
+    @cached_property
+    def scaled_jumps(self) -> FloatArray:
+        """Jumps of the balanced augmented state at the ends of the steps, shape (n_steps, n + 1, n + 1)."""
+        n, scales = self.n_states, self.scaled.scales
+        jumps = np.tile(np.eye(n + 1), (self.n_steps, 1, 1))
+        if self.J is not None and self.j is not None:
+            jumps[:, :n, :n] = self.J * (scales / scales[:, None])
+            jumps[:, :n, n] = self.j / (scales * self.scaled.unit)
+        return jumps
+
     @cached_property
     def factors(self) -> Factors:
         """Factors of the transition matrices of all steps, in balanced coordinates, that no stiffness spoils."""
-        return step_factors(self.scaled.matrices[:, :-1, :-1], self.durations)
-
-    @cached_property
-    def _maps(self) -> StepMaps:
-        with np.errstate(over="ignore", invalid="ignore"):
-            return step_maps(self.scaled, self.durations)
+        found = step_factors(self.scaled.matrices[:, :-1, :-1], self.durations)
+        return with_jumps(found, self.scaled_jumps[:, :-1, :-1], self.jumps_at) if self.has_jumps else found
 
     @cached_property
     def scaled(self) -> ScaledSteps:
@@ -439,25 +510,36 @@ class PeriodicSystem(Value):
         return scaled_steps(self.A, self.f, self.durations)
 
     @cached_property
-    def is_representable(self) -> bool:
-        """Whether no step grows by more than double precision holds."""
-        return bool(np.isfinite(self._maps.maps).all())
+    def _flows(self) -> StepMaps:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return step_maps(self.scaled, self.durations)
 
     @cached_property
-    def maps(self) -> StepMaps:
-        """The maps over all steps, which orbit and response share.
+    def is_representable(self) -> bool:
+        """Whether no step grows by more than double precision holds."""
+        return bool(np.isfinite(self._flows.maps).all())
+
+    @cached_property
+    def flows(self) -> StepMaps:
+        """The maps over all steps up to their ends, before the state jumps there.
 
         Raises
         ------
         StepOverflowError
             A step grows by more than double precision holds.
         """
-        maps = self._maps
+        flows = self._flows
         if not self.is_representable:
-            step = int(np.argwhere(~np.isfinite(maps.maps))[0][0])
+            step = int(np.argwhere(~np.isfinite(flows.maps))[0][0])
             raise StepOverflowError(
                 f"step {step + 1} of {self.durations[step]:g} s grows by more than double precision holds; its "
                 "eigenvalues times its duration go beyond 700. Are A and the durations in the same units of time? "
                 "Multipliers can still be had: floquet"
             )
-        return maps
+        return flows
+
+    @cached_property
+    def maps(self) -> StepMaps:
+        """The maps from the start of each step to that of the next, which orbit and response share; raises likewise."""
+        flows = self.flows
+        return replace(flows, maps=self.scaled_jumps @ flows.maps) if self.has_jumps else flows

@@ -54,7 +54,7 @@ class Variation(Value):
         system, rows = self.trajectory.system, self.trajectory.rows[:, row]
         k = rows.shape[1]
         sums = (step_integrals(self.blocks, system.durations) @ self.starts[:, :, None])[:, :k, 0]
-        ends = np.roll(self.trajectory.starts, -1, axis=0)
+        ends = self.trajectory.ends
         total = np.sum(rows * sums) + np.sum(rows * ends, axis=1) @ self.durations
         total += system.durations @ self._feedthrough(row)
         return float((total - self.trajectory.means()[row] * np.sum(self.durations)) / system.period)
@@ -104,9 +104,9 @@ def varied(
     blocks[:, :n, k : k + n] = A * (scaled.scales / scaled.scales[:, None])
     blocks[:, :n, -1] = f / (scaled.scales * scaled.unit)
     maps = exponentials(blocks * system.durations[:, None, None])
-    ends = np.roll(trajectory.starts, -1, axis=0)
-    rates = (scaled.matrices @ ends[:, :, None])[:, :n, 0]
+    jumps = system.scaled_jumps[:, :n, :n]
+    rates = (scaled.matrices @ trajectory.ends[:, :, None])[:, :n, 0]
     added = (maps[:, :n, k:] @ trajectory.starts[:, :, None])[:, :, 0] + rates * durations[:, None]
-    changes = solve_cyclic(maps[:, :n, :n], added[:, :, None])[:, :, 0]
+    changes = solve_cyclic(jumps @ maps[:, :n, :n], jumps @ added[:, :, None])[:, :, 0]
     starts = np.concatenate([changes, np.zeros((N, 1)), trajectory.starts], axis=1)
     return Variation(trajectory=trajectory, blocks=blocks, durations=durations, levels=levels, starts=starts)

@@ -169,3 +169,37 @@ def test_names_are_kept_or_told_apart():
 def test_what_cannot_be_joined_is_named(join, error, message):
     with pytest.raises(error, match=message):
         join()
+
+
+def test_operators_are_connections():
+    rng = np.random.default_rng(5)
+
+    def system(seed: int) -> lp.PeriodicSystem:
+        rng = np.random.default_rng(seed)
+        return lp.PeriodicSystem.from_matrices(
+            rng.standard_normal((2, 2, 2)) - 2 * np.eye(2),
+            rng.standard_normal((2, 2)),
+            [0.4, 0.6],
+            B=rng.standard_normal((2, 2, 2)),
+            C=rng.standard_normal((2, 2, 2)),
+        )
+
+    a, b, gain, s = system(1), system(2), rng.standard_normal((2, 2)), 0.3 + 1j
+    H, K = lp.harmonic_transfer(a, s)[0], lp.harmonic_transfer(b, s)[0]
+    pairs = [
+        (a + b, H + K), (a - b, H - K), (-a, -H), (2 * a, 2 * H), (a * 0.5, H / 2), (np.float64(3) * a, 3 * H),
+        (a + gain, H + gain), (gain - a, gain - H), (gain + a, gain + H),
+        (gain @ np.eye(2) * a, gain @ H), (a * gain, H @ gain),
+        (b * a, lp.harmonic_transfer(lp.series(a, b), s)[0]),
+        (ct.ss(-1.0 * np.eye(2), np.eye(2), np.eye(2), 0 * np.eye(2)) * a, H / (s + 1)),
+    ]  # fmt: skip
+    for found, right in pairs:
+        np.testing.assert_allclose(lp.harmonic_transfer(found, s)[0], right, rtol=1e-11, atol=1e-13)
+    # Offsets go along.
+    assert (-2 * a).r.any()
+    for signal in ("y1", "y2"):
+        assert lp.steady_state(-2 * a).mean(signal) == pytest.approx(-2 * lp.steady_state(a).mean(signal), rel=1e-12)
+    with pytest.raises(ValueError, match="parallel: found input levels"):
+        _ = a + b.with_levels([1.0, 0.0])
+    with pytest.raises(TypeError):
+        _ = a + "b"

@@ -82,11 +82,13 @@ def test_extremes_and_means_equal_those_of_dense_samples(system):
     orbit = lp.steady_state(system)
     # Just inside each step: states do not jump, but samples at a boundary belong to the next step.
     samples = orbit.at(np.linspace(0, orbit.period, 4001)[:-1])
+    # A peak at a switch may be steep on both sides.
+    peaks = np.concatenate([samples, orbit.step_states.T], axis=1)
     for row, name in enumerate(system.states):
         size = np.abs(samples[row]).max() + 1e-9
         assert orbit.maximum(name) >= samples[row].max() - 1e-12 * size
         assert orbit.minimum(name) <= samples[row].min() + 1e-12 * size
-        assert orbit.maximum(name) <= samples[row].max() + 1e-3 * size
+        assert orbit.maximum(name) <= peaks[row].max() + 1e-3 * size
         assert orbit.mean(name) == pytest.approx(np.mean(samples[row]), abs=3e-3 * size)
 
 
