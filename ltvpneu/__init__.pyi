@@ -57,6 +57,7 @@ from .models.nonlinear.stiction_band import StictionBand as StictionBand
 from .models.nonlinear.stiction_band import stiction_band as stiction_band
 from .models.nonlinear.stroke import Stroke as Stroke
 from .models.nonlinear.stroke import stroke as stroke
+from .periodic.events import with_state_events as with_state_events
 from .periodic.floquet import Floquet as Floquet
 from .periodic.floquet import floquet as floquet
 from .periodic.floquet import monodromy as monodromy
