@@ -100,20 +100,26 @@ Names = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 """Of states, inputs and outputs."""
 
 
-def matrices_of(operand: Any) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Names, str]:
+def matrices_of(
+    operand: Any, dt: float | None = 0.0
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Names, str]:
     """Return A, B, C, D, the names and the name of a time-invariant system or of a constant gain.
 
     Raises
     ------
     TypeError, ValueError
-        Neither, or a system in discrete time.
+        Neither, or a system of another sampling time than dt [s], zero in continuous time.
     """
     import control
 
     operand = as_state_space(operand)
     if isinstance(operand, control.StateSpace):
-        if operand.isdtime(strict=True):
+        if dt == 0 and operand.isdtime(strict=True):
             raise ValueError(f"{operand.name}: found discrete time (dt = {operand.dt}), expected continuous time")
+        # In python-control, a dt of True stands for any sampling time, and None for either kind of time.
+        if dt != 0 and not (operand.dt is None or operand.dt is True or _is_close(operand.dt, dt)):
+            wanted = "a gain, as the steps differ in length" if dt is None else f"dt = {dt:g} s"
+            raise ValueError(f"{operand.name}: found dt = {operand.dt}, expected {wanted}")
         parts = [finite_array(letter, getattr(operand, letter)) for letter in "ABCD"]
         names = (tuple(operand.state_labels), tuple(operand.input_labels), tuple(operand.output_labels))
         return parts[0], parts[1], parts[2], parts[3], names, operand.name
@@ -125,3 +131,7 @@ def matrices_of(operand: Any) -> tuple[FloatArray, FloatArray, FloatArray, Float
     p, m = gain.shape
     names = ((), tuple(f"u{i + 1}" for i in range(m)), tuple(f"y{i + 1}" for i in range(p)))
     return np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), gain, names, "gain"
+
+
+def _is_close(dt: float, wanted: float | None) -> bool:
+    return wanted is not None and abs(dt - wanted) <= 1e-9 * wanted

@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite, finite_array
 from ltvpneu.errors import NotConvergedError
-from ltvpneu.periodic.orbit import signal_index
 from ltvpneu.periodic.propagate import forced_exponentials
+from ltvpneu.periodic.signals import signal_index
 from ltvpneu.periodic.small import root_time
 from ltvpneu.periodic.system import PeriodicSystem, expect_system
 

@@ -1,12 +1,10 @@
-r"""Two periodic systems as one: their steps over a common period, and the matrices of a connection.
+"""Two periodic systems as one: the matrices of a connection.
 
-Within a step all coefficients are constant, so that a connection is again a periodic system: its steps are those of
-both operands, over a common period, cut at each other's switches. Periods must be commensurate.
+Within a step all coefficients are constant, so that a connection is again a periodic system, on steps that both have.
 """
 
 from dataclasses import replace
-from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -14,16 +12,13 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu.periodic import bridge
 
 if TYPE_CHECKING:
-    # The system's own operators come here.
-    from ltvpneu.periodic.system import PeriodicSystem
+    # Whose operators come here.
+    from ltvpneu.periodic.coefficients import Coefficients
 
-MOST_PERIODS = 1000
-"""Periods of one operand in the common period beyond which two periods do not count as commensurate."""
-SAME_TIME = 1e-12
-"""Share of the period below which two switches are the same."""
+System = TypeVar("System", bound="Coefficients")
 
 
-def in_series(first: Any, second: Any, lead: "PeriodicSystem") -> "PeriodicSystem":
+def in_series(first: Any, second: Any, lead: System) -> System:
     """Return the second operand driven by the outputs of the first; `lead` is one of them, as below."""
     a, b = _together(first, second, lead)
     if len(a.outputs) != len(b.inputs):
@@ -43,7 +38,7 @@ def in_series(first: Any, second: Any, lead: "PeriodicSystem") -> "PeriodicSyste
     )
 
 
-def in_parallel(first: Any, second: Any, lead: "PeriodicSystem") -> "PeriodicSystem":
+def in_parallel(first: Any, second: Any, lead: System) -> System:
     """Return both with the same inputs and the sum of their outputs; names and levels are those of `lead`."""
     a, b = _together(first, second, lead)
     if len(a.inputs) != len(b.inputs) or len(a.outputs) != len(b.outputs):
@@ -66,7 +61,7 @@ def in_parallel(first: Any, second: Any, lead: "PeriodicSystem") -> "PeriodicSys
     )
 
 
-def side_by_side(first: Any, second: Any, lead: "PeriodicSystem") -> "PeriodicSystem":
+def side_by_side(first: Any, second: Any, lead: System) -> System:
     """Return both, each with its own inputs and outputs."""
     a, b = _together(first, second, lead)
     N, p_a, p_b, m_a, m_b = a.n_steps, len(a.outputs), len(b.outputs), len(a.inputs), len(b.inputs)
@@ -88,7 +83,7 @@ def side_by_side(first: Any, second: Any, lead: "PeriodicSystem") -> "PeriodicSy
     )
 
 
-def in_feedback(first: Any, second: Any, lead: "PeriodicSystem", sign: float) -> "PeriodicSystem":
+def in_feedback(first: Any, second: Any, lead: System, sign: float) -> System:
     """Return the first operand with the second from its outputs back to its inputs."""
     a, b = _together(first, second, lead)
     if len(a.outputs) != len(b.inputs) or len(b.outputs) != len(a.inputs):
@@ -119,81 +114,49 @@ def in_feedback(first: Any, second: Any, lead: "PeriodicSystem", sign: float) ->
     )
 
 
-def _together(first: Any, second: Any, lead: "PeriodicSystem") -> "tuple[PeriodicSystem, PeriodicSystem]":
+def _together(first: Any, second: Any, lead: System) -> tuple[System, System]:
     """Return both operands, of which `lead` is one, as periodic systems with the same steps over a common period."""
-    a, b = (_periodic(x, lead).without_empty_steps() for x in (first, second))
-    ratio = Fraction(a.period / b.period).limit_denominator(MOST_PERIODS)
-    if ratio.numerator > MOST_PERIODS or ratio == 0 or abs(ratio * b.period / a.period - 1) > 1e-9:
-        raise ValueError(
-            f"interconnection: found periods of {a.period:.12g} s and {b.period:.12g} s, expected a ratio of two whole "
-            f"numbers up to {MOST_PERIODS}"
-        )
-    a, b = _repeated(a, ratio.denominator), _repeated(b, ratio.numerator)
-    times = np.sort(np.concatenate([a.switching_times, b.switching_times * (a.period / b.period)]))
-    near = np.diff(times) <= SAME_TIME * a.period
-    # Steps of no duration are nothing but outputs at an instant; cut at the first of times that are the same.
-    kept = times[np.concatenate([[True], ~near])]
-    kept[-1] = a.period
-    durations = np.diff(kept)
-    middles = kept[:-1] + durations / 2
-    return _sampled(a, middles, durations), _sampled(b, middles * (b.period / a.period), durations)
+    a, b = (_periodic(x, lead) for x in (first, second))
+    return a.beside(b)
 
 
-def _periodic(operand: Any, lead: "PeriodicSystem") -> "PeriodicSystem":
-    """Return an operand as a periodic system; a time-invariant one has one step."""
+def _periodic(operand: Any, lead: System) -> System:
+    """Return an operand as a periodic system; a time-invariant one has the same coefficients in all of its steps."""
     if isinstance(operand, type(lead)):
         return operand
-    A, B, C, D, names, name = bridge.matrices_of(operand)
+    A, B, C, D, names, name = bridge.matrices_of(operand, lead.dt)
     states, inputs, outputs = names
-    n, p = len(A), len(C)
+    N, n, p = lead.n_steps, len(A), len(C)
+    A, B, C, D = (np.broadcast_to(part, (N, *part.shape)) for part in (A, B, C, D))
     return replace(
-        lead,
-        durations=np.array([lead.period]),
-        A=A[None], B=B[None], r=np.zeros((1, n)), C=C[None], D=D[None], q=np.zeros((1, p)), J=None, j=None,
+        lead.without_jumps(), A=A, B=B, r=np.zeros((N, n)), C=C, D=D, q=np.zeros((N, p)),
         levels=np.zeros(len(inputs)), states=states, inputs=inputs, outputs=outputs, name=name,
     )  # fmt: skip
 
 
-def _repeated(system: "PeriodicSystem", times: int) -> "PeriodicSystem":
-    """Return the system with several of its periods for one."""
-    if times == 1:
-        return system
-    steps = np.tile(np.arange(system.n_steps), times)
-    return system.with_parts(np.tile(system.durations, times), steps, np.ones(steps.size, dtype=np.bool_))
-
-
-def _sampled(system: "PeriodicSystem", middles: FloatArray, durations: FloatArray) -> "PeriodicSystem":
-    step, _ = system.step_at(middles)
-    return system.with_parts(durations, step, np.append(np.diff(step) != 0, True))
-
-
 def _joined(
-    operands: "tuple[PeriodicSystem, PeriodicSystem]",
+    operands: tuple[System, System],
     *,
     ports: tuple[tuple[str, ...], tuple[str, ...], FloatArray],
     name: str,
     **matrices: FloatArray,
-) -> "PeriodicSystem":
+) -> System:
     a, b = operands
     inputs, outputs, levels = ports
     states = _told_apart(a.states, b.states, operands)
-    J, j = (None, None) if not (a.has_jumps or b.has_jumps) else _jumps(a, b)
-    return replace(a, J=J, j=j, levels=levels, states=states, inputs=inputs, outputs=outputs, name=name, **matrices)
+    return replace(
+        a,
+        **a.jumps_beside(b),
+        levels=levels,
+        states=states,
+        inputs=inputs,
+        outputs=outputs,
+        name=name,
+        **matrices,
+    )
 
 
-def _jumps(a: "PeriodicSystem", b: "PeriodicSystem") -> tuple[FloatArray, FloatArray]:
-    """Return the jumps of both side by side."""
-    N, n_a, n_b = a.n_steps, a.n_states, b.n_states
-    J, j = np.tile(np.eye(n_a + n_b), (N, 1, 1)), np.zeros((N, n_a + n_b))
-    for system, part in ((a, slice(0, n_a)), (b, slice(n_a, None))):
-        if system.J is not None and system.j is not None:
-            J[:, part, part], j[:, part] = system.J, system.j
-    return J, j
-
-
-def _told_apart(
-    first: tuple[str, ...], second: tuple[str, ...], operands: "tuple[PeriodicSystem, PeriodicSystem]"
-) -> tuple[str, ...]:
+def _told_apart(first: tuple[str, ...], second: tuple[str, ...], operands: tuple[System, System]) -> tuple[str, ...]:
     """Return names of both systems, each after its system's name where some are the same."""
     if not set(first) & set(second):
         return (*first, *second)
@@ -210,6 +173,6 @@ def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
     return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
-def _ports(kind: str, system: "PeriodicSystem") -> str:
+def _ports(kind: str, system: "Coefficients") -> str:
     names = system.outputs if kind == "out" else system.inputs
     return f"{len(names)} {kind}puts ({', '.join(names)}) of {system.name}"

@@ -1,6 +1,5 @@
 """`Orbit`: one period of a periodic solution, of whatever model, with exact means and extremes."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, final
 
@@ -10,6 +9,7 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import FloatArray, finite_array, whole
 from ltvpneu._values import Value
 from ltvpneu.periodic import bridge
+from ltvpneu.periodic.signals import signal_index
 
 if TYPE_CHECKING:
     import control
@@ -126,20 +126,3 @@ class Orbit(Value):
 
     def _index(self, signal: str | int) -> int:
         return signal_index(self.signals, signal)
-
-
-def signal_index(signals: Sequence[str], signal: str | int) -> int:
-    """Return the row of a signal given by name or by number.
-
-    Raises
-    ------
-    ValueError
-        No signal has that name or number.
-    """
-    if isinstance(signal, str):
-        if signal not in signals:
-            raise ValueError(f"signal: found {signal!r}, expected one of {', '.join(signals)}")
-        return list(signals).index(signal)
-    if not 0 <= signal < len(signals):
-        raise ValueError(f"signal: found {signal}, expected 0 to {len(signals) - 1} ({', '.join(signals)})")
-    return int(signal)

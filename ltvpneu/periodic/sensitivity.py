@@ -30,8 +30,9 @@ from ltvpneu._values import Value
 from ltvpneu.periodic.cyclic import solve_cyclic_adjoint
 from ltvpneu.periodic.exponential import ExponentialTrajectory, Extreme
 from ltvpneu.periodic.floquet import Floquet, floquet
-from ltvpneu.periodic.orbit import Orbit, signal_index
+from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.propagate import complex_exponentials, exponentials
+from ltvpneu.periodic.signals import signal_index
 from ltvpneu.periodic.steady import periodic_states, steady_state
 from ltvpneu.periodic.system import PeriodicSystem
 from ltvpneu.periodic.variation import Variation, varied

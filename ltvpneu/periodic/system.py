@@ -10,47 +10,28 @@ is a value: arrays are copied, checked and closed to writing.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
-from typing import Any, final
+from typing import Self, final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import BoolArray, FloatArray, IntArray, finite_array, positive, read_only
-from ltvpneu._values import Value
+from ltvpneu._arrays import BoolArray, FloatArray, IntArray, finite_array, positive
 from ltvpneu.errors import StepOverflowError
-from ltvpneu.periodic.bridge import CONSTANT_INPUT
-from ltvpneu.periodic.joined import in_parallel, in_series
+from ltvpneu.periodic.coefficients import Coefficients, Matrices
 from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step_maps
 from ltvpneu.periodic.smooth import Function, smooth_steps
 from ltvpneu.periodic.step import Step
 from ltvpneu.periodic.stiff import NORM_OF_A_PIECE, Factors, step_factors, with_jumps
 
-Matrices = Sequence[ArrayLike] | FloatArray
-"""One matrix or vector a step: a list of them, or a stack."""
-
-
 GROWTH = 1e3
 """Largest entry of a step's balanced transition matrix that costs no accuracy worth naming."""
+MOST_PERIODS = 1000
+"""Periods of one system in the common period beyond which two periods do not count as commensurate."""
+SAME_TIME = 1e-12
+"""Share of the period below which two switches are the same."""
 MOST_PIECES = 1 << 17
 """Pieces into which stiff steps are split before pieces of a greater norm are taken."""
-
-
-def _chosen(kind: str, wanted: Sequence[str | int] | None, known: tuple[str, ...]) -> list[int]:
-    """Return the numbers of signals given by name or number."""
-    if wanted is None:
-        return list(range(len(known)))
-    if isinstance(wanted, str):
-        raise ValueError(f"{kind}: found {wanted!r}, expected a list of names, such as [{wanted!r}]")
-    found: list[int] = []
-    for one in wanted:
-        number = known.index(one) if isinstance(one, str) and one in known else one
-        if isinstance(number, str) or not 0 <= number < len(known):
-            raise ValueError(f"{kind}: found {one!r}, expected some of {', '.join(known) or 'none'}")
-        found.append(int(number))
-    if len(set(found)) < len(found):
-        raise ValueError(f"{kind}: found {list(wanted)}, expected each once")
-    return found
 
 
 def expect_system(system: object) -> None:
@@ -68,7 +49,7 @@ def expect_no_jumps(system: "PeriodicSystem", what: str) -> None:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class PeriodicSystem(Value):
+class PeriodicSystem(Coefficients):
     """A periodic, piecewise-constant system.
 
     Parameters
@@ -101,107 +82,22 @@ class PeriodicSystem(Value):
     0.25
     """
 
-    durations: FloatArray
-    A: FloatArray
-    B: FloatArray
-    r: FloatArray
-    C: FloatArray
-    D: FloatArray
-    q: FloatArray
-    levels: FloatArray
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    name: str = "periodic"
     J: FloatArray | None = None
     j: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        durations = finite_array("durations", self.durations, (None,))
-        N = durations.size
-        if (durations < 0).any():
-            worst = int(np.argmin(durations))
-            raise ValueError(f"durations: found {durations[worst]:g} s in step {worst}, expected none negative")
-        if not durations.any():
-            raise ValueError("durations: found a period of 0 s, expected at least one step longer than zero")
-        A = finite_array("A", self.A, (N, None, None))
-        n, m, p = A.shape[1], len(self.inputs), len(self.outputs)
-        shapes: dict[str, tuple[int, ...]] = {
-            "A": (N, n, n), "B": (N, n, m), "r": (N, n), "C": (N, p, n), "D": (N, p, m), "q": (N, p), "levels": (m,)
-        }  # fmt: skip
-        object.__setattr__(self, "durations", durations)
-        for field, shape in shapes.items():
-            object.__setattr__(self, field, finite_array(field, getattr(self, field), shape))
+        super().__post_init__()
+        N, n = self.r.shape
         if self.J is not None or self.j is not None:
             J = np.tile(np.eye(n), (N, 1, 1)) if self.J is None else self.J
             j = np.zeros((N, n)) if self.j is None else self.j
             object.__setattr__(self, "J", finite_array("J", J, (N, n, n)))
             object.__setattr__(self, "j", finite_array("j", j, (N, n)))
-        if len(self.states) != n:
-            raise ValueError(f"states: found {len(self.states)} names {self.states}, expected {n}")
-        for kind in ("states", "inputs", "outputs"):
-            names: tuple[str, ...] = getattr(self, kind)
-            if len(set(names)) != len(names):
-                raise ValueError(f"{kind}: found {names}, expected each name once")
-        if CONSTANT_INPUT in self.inputs:
-            raise ValueError(f"inputs: found {CONSTANT_INPUT!r}, which is kept for the input that carries r and q")
 
     def __repr__(self) -> str:
         ports = f"{self.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
         jumps = f", {np.count_nonzero(self.jumps_at)} jumps" if self.has_jumps else ""
         return f"<PeriodicSystem {self.name}: {self.n_steps} steps in {self.period:.6g} s, {ports}{jumps}>"
-
-    @classmethod
-    def from_matrices(
-        cls,
-        A: Matrices,
-        f: Matrices,
-        durations: ArrayLike,
-        B: Matrices | None = None,
-        C: Matrices | None = None,
-        D: Matrices | None = None,
-    ) -> "PeriodicSystem":
-        """Return the system with one entry of each list a step; f becomes the remainder r.
-
-        Parameters
-        ----------
-        A : sequence of array_like, shape (n, n)
-        f : sequence of array_like, shape (n,)
-        durations : array_like, shape (n_steps,)
-            [s]
-        B : sequence of array_like, shape (n, m), optional
-            Inputs u1, u2, ... at level zero; none by default.
-        C : sequence of array_like, shape (p, n), optional
-            Outputs y1, y2, ...; the states by default.
-        D : sequence of array_like, shape (p, m), optional
-            Zero by default.
-
-        Raises
-        ------
-        ValueError
-            Ragged or non-finite matrices, shapes that do not fit, negative durations.
-        """
-        durations = finite_array("durations", durations, (None,))
-        N = durations.size
-        system_matrices = finite_array("A", A, (N, None, None))
-        n = system_matrices.shape[1]
-        inputs = finite_array("B", B, (N, n, None)) if B is not None else np.zeros((N, n, 0))
-        outputs = finite_array("C", C, (N, None, n)) if C is not None else np.tile(np.eye(n), (N, 1, 1))
-        m, p = inputs.shape[2], outputs.shape[1]
-        states = tuple(f"z{i + 1}" for i in range(n))
-        return cls(
-            durations=durations,
-            A=system_matrices,
-            B=inputs,
-            r=finite_array("f", f, (N, n)),
-            C=outputs,
-            D=finite_array("D", D, (N, p, m)) if D is not None else np.zeros((N, p, m)),
-            q=np.zeros((N, p)),
-            levels=np.zeros(m),
-            states=states,
-            inputs=tuple(f"u{i + 1}" for i in range(m)),
-            outputs=states if C is None else tuple(f"y{i + 1}" for i in range(p)),
-        )
 
     @classmethod
     def from_function(
@@ -212,7 +108,7 @@ class PeriodicSystem(Value):
         *,
         B: Function | None = None,
         rtol: float = 1e-9,
-    ) -> "PeriodicSystem":
+    ) -> Self:
         """Return the system of smooth coefficients A(t), as steps that keep a tolerance; outputs are the states.
 
         Fourth order, by steps of the lengths that the coefficients ask for. Exact to `rtol` are the maps from step
@@ -254,7 +150,7 @@ class PeriodicSystem(Value):
         inputs = None if B is None else parts[:, :, n:-1]
         return cls.from_matrices(parts[:, :, :n], parts[:, :, -1], durations, B=inputs)
 
-    def with_jumps(self, J: Matrices, j: Matrices | None = None) -> "PeriodicSystem":
+    def with_jumps(self, J: Matrices, j: Matrices | None = None) -> Self:
         """Return the system whose state jumps at the end of each step, z+ = J z- + j: an impact, a reset.
 
         Parameters
@@ -277,85 +173,6 @@ class PeriodicSystem(Value):
         """
         return replace(self, J=finite_array("J", J), j=None if j is None else finite_array("j", j))
 
-    def with_levels(self, levels: ArrayLike) -> "PeriodicSystem":
-        """Return the system with other values of its inputs, shape (m,)."""
-        return replace(self, levels=finite_array("levels", levels, (len(self.inputs),)))
-
-    def select(
-        self, *, outputs: Sequence[str | int] | None = None, inputs: Sequence[str | int] | None = None
-    ) -> "PeriodicSystem":
-        """Return the system with some of its outputs and inputs, in the order given; all by default.
-
-        An input that is left out stays at its level, which becomes part of r and q.
-
-        Parameters
-        ----------
-        outputs, inputs : sequence of str or int, optional
-            Names or numbers.
-
-        Raises
-        ------
-        ValueError
-            No such output or input, or one given twice.
-
-        Examples
-        --------
-        >>> import ltvpneu as lp
-        >>> model = lp.ltv_model(lp.load_machine("kunt_singh_1990"), frequency=4.0)
-        >>> model.system.select(outputs=["position"], inputs=["supply_pressure"])
-        <PeriodicSystem Kunt___Singh_1990_ltv: 2 steps in 0.25 s, 3 states, 1 inputs, 1 outputs>
-        """
-        rows = _chosen("outputs", outputs, self.outputs)
-        columns = _chosen("inputs", inputs, self.inputs)
-        held = np.setdiff1d(np.arange(len(self.inputs)), columns)
-        fixed = self.levels[held]
-        return replace(
-            self,
-            B=self.B[:, :, columns],
-            r=self.r + self.B[:, :, held] @ fixed,
-            C=self.C[:, rows],
-            D=self.D[:, rows][:, :, columns],
-            q=(self.q + self.D[:, :, held] @ fixed)[:, rows],
-            levels=self.levels[columns],
-            inputs=tuple(self.inputs[i] for i in columns),
-            outputs=tuple(self.outputs[i] for i in rows),
-        )
-
-    @cached_property
-    def period(self) -> float:
-        """Sum of the durations [s]."""
-        return float(np.sum(self.durations))
-
-    @property
-    def n_steps(self) -> int:
-        """N_s, number of steps in a period."""
-        return self.durations.size
-
-    @property
-    def n_states(self) -> int:
-        """Number of states."""
-        return self.A.shape[1]
-
-    @cached_property
-    def f(self) -> FloatArray:
-        """Forcing B u + r of each step at the input levels, shape (n_steps, n)."""
-        return read_only(self.B @ self.levels + self.r)
-
-    @cached_property
-    def output_bias(self) -> FloatArray:
-        """D u + q of each step at the input levels, shape (n_steps, p)."""
-        return read_only(self.D @ self.levels + self.q)
-
-    @cached_property
-    def switching_times(self) -> FloatArray:
-        """Step boundaries from 0 to the period [s], shape (n_steps + 1,)."""
-        return read_only(np.concatenate([[0.0], np.cumsum(self.durations)]))
-
-    def step_at(self, times: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the step in force at times within the period [s], at a switch the new one, and the time since then."""
-        step = np.clip(np.searchsorted(self.switching_times, times, side="right") - 1, 0, self.n_steps - 1)
-        return step, np.clip(times - self.switching_times[step], 0.0, self.durations[step])
-
     @cached_property
     def steps(self) -> tuple[Step, ...]:
         """The steps, one by one."""
@@ -370,7 +187,7 @@ class PeriodicSystem(Value):
             for i in range(self.n_steps)
         )  # fmt: skip
 
-    def split(self, pieces: Sequence[int] | IntArray) -> "PeriodicSystem":
+    def split(self, pieces: Sequence[int] | IntArray) -> Self:
         """Return the system with each step split into that many equal ones, shape (n_steps,); it behaves the same."""
         counts = np.asarray(pieces)
         if counts.dtype.kind != "i" or counts.min(initial=1) < 1:
@@ -384,7 +201,7 @@ class PeriodicSystem(Value):
         step = np.repeat(np.arange(self.n_steps), counts)
         return self.with_parts(np.repeat(self.durations / counts, counts), step, ends)
 
-    def with_parts(self, durations: FloatArray, step: IntArray, ends: BoolArray) -> "PeriodicSystem":
+    def with_parts(self, durations: FloatArray, step: IntArray, ends: BoolArray) -> Self:
         """Return the system made of parts of its steps, each as long as given; the state jumps where a step `ends`."""
         parts = {field: getattr(self, field)[step] for field in ("A", "B", "r", "C", "D", "q")}
         if self.J is None or self.j is None:
@@ -392,7 +209,7 @@ class PeriodicSystem(Value):
         J = np.where(ends[:, None, None], self.J[step], np.eye(self.n_states))
         return replace(self, durations=durations, J=J, j=np.where(ends[:, None], self.j[step], 0.0), **parts)
 
-    def without_empty_steps(self) -> "PeriodicSystem":
+    def without_empty_steps(self) -> Self:
         """Return the system without its steps of no duration; their jumps follow those of the step before."""
         kept = self.durations > 0
         if kept.all():
@@ -408,6 +225,62 @@ class PeriodicSystem(Value):
                 before = np.searchsorted(numbers, k) - 1
                 jumps[before], shifts[before] = self.J[k] @ jumps[before], self.J[k] @ shifts[before] + self.j[k]
         return replace(found, J=jumps, j=shifts)
+
+    @property
+    def dt(self) -> float:
+        """Zero: continuous time."""
+        return 0.0
+
+    def beside(self, other: Self) -> tuple[Self, Self]:
+        """Return both systems with the same steps over a common period, cut at each other's switches.
+
+        Raises
+        ------
+        ValueError
+            Periods whose ratio is not one of two whole numbers up to 1000.
+        """
+        a, b = self.without_empty_steps(), other.without_empty_steps()
+        ratio = Fraction(a.period / b.period).limit_denominator(MOST_PERIODS)
+        if ratio.numerator > MOST_PERIODS or ratio == 0 or abs(ratio * b.period / a.period - 1) > 1e-9:
+            raise ValueError(
+                f"interconnection: found periods of {a.period:.12g} s and {b.period:.12g} s, expected a ratio of two "
+                f"whole numbers up to {MOST_PERIODS}"
+            )
+        a, b = a._repeated(ratio.denominator), b._repeated(ratio.numerator)
+        times = np.sort(np.concatenate([a.switching_times, b.switching_times * (a.period / b.period)]))
+        near = np.diff(times) <= SAME_TIME * a.period
+        # Cut at the first of times that are the same.
+        kept = times[np.concatenate([[True], ~near])]
+        kept[-1] = a.period
+        durations = np.diff(kept)
+        middles = kept[:-1] + durations / 2
+        return a._cut(middles, durations), b._cut(middles * (b.period / a.period), durations)
+
+    def _repeated(self, times: int) -> Self:
+        """Return the system with several of its periods for one."""
+        if times == 1:
+            return self
+        steps = np.tile(np.arange(self.n_steps), times)
+        return self.with_parts(np.tile(self.durations, times), steps, np.ones(steps.size, dtype=np.bool_))
+
+    def _cut(self, middles: FloatArray, durations: FloatArray) -> Self:
+        step, _ = self.step_at(middles)
+        return self.with_parts(durations, step, np.append(np.diff(step) != 0, True))
+
+    def without_jumps(self) -> Self:
+        """Return the system without jumps of its state."""
+        return replace(self, J=None, j=None) if self.has_jumps else self
+
+    def jumps_beside(self, other: Self) -> dict[str, FloatArray]:
+        """Return the jumps of both, side by side; none where neither has any."""
+        if not (self.has_jumps or other.has_jumps):
+            return {}
+        n, k = self.n_states, other.n_states
+        J, j = np.tile(np.eye(n + k), (self.n_steps, 1, 1)), np.zeros((self.n_steps, n + k))
+        for system, part in ((self, slice(0, n)), (other, slice(n, None))):
+            if system.J is not None and system.j is not None:
+                J[:, part, part], j[:, part] = system.J, system.j
+        return {"J": J, "j": j}
 
     @cached_property
     def growing_pieces(self) -> IntArray:
@@ -442,39 +315,6 @@ class PeriodicSystem(Value):
                 "the same units of time? Else drop the fastest states"
             )
         return np.maximum(np.ceil(norms / limit), 1).astype(np.int64)
-
-    def __mul__(self, other: Any) -> "PeriodicSystem":
-        """Return `other`, then this system, as `control.StateSpace` has it; of a number, this system times it."""
-        if isinstance(other, int | float | np.number):
-            return in_series(self, float(other) * np.eye(len(self.outputs)), self)
-        return in_series(other, self, self)
-
-    def __rmul__(self, other: Any) -> "PeriodicSystem":
-        """Return this system, then `other`; of a number, this system times it."""
-        return self * other if isinstance(other, int | float | np.number) else in_series(self, other, self)
-
-    def __add__(self, other: Any) -> "PeriodicSystem":
-        """Return both with the same inputs and the sum of their outputs."""
-        return in_parallel(self, other, self)
-
-    def __radd__(self, other: Any) -> "PeriodicSystem":
-        """Return the same sum, the states of `other` first."""
-        return in_parallel(other, self, self)
-
-    def __neg__(self) -> "PeriodicSystem":
-        """Return the system with its outputs' signs turned."""
-        return replace(self, C=-self.C, D=-self.D, q=-self.q)
-
-    def __sub__(self, other: Any) -> "PeriodicSystem":
-        """Return the difference of the outputs, with the same inputs."""
-        return in_parallel(self, -other, self)
-
-    def __rsub__(self, other: Any) -> "PeriodicSystem":
-        """Return the difference of the outputs, with the same inputs."""
-        return in_parallel(other, -self, self)
-
-    __array_ufunc__ = None
-    """So that numpy leaves a matrix times a system to the system."""
 
     @property
     def has_jumps(self) -> bool:

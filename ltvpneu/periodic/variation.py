@@ -15,8 +15,8 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu._values import Value
 from ltvpneu.periodic.cyclic import solve_cyclic
 from ltvpneu.periodic.exponential import ExponentialTrajectory, Extreme, step_integrals
-from ltvpneu.periodic.orbit import signal_index
 from ltvpneu.periodic.propagate import exponentials
+from ltvpneu.periodic.signals import signal_index
 
 
 @final

@@ -13,7 +13,7 @@ N, STATES, INPUTS, OUTPUTS = 3, 3, 2, 2
 def _systems(seed: int) -> tuple[lp.PeriodicSystem, lp.PeriodicSystem]:
     """A system with jumps, and one with a very short step of a great rate, without inputs and outputs, for each."""
     rng = np.random.default_rng(seed)
-    A = rng.standard_normal((N, STATES, STATES)) - 1.5 * np.eye(STATES)
+    A = rng.standard_normal((N, STATES, STATES)) - 2.5 * np.eye(STATES)
     B, C = rng.standard_normal((N, STATES, INPUTS)), rng.standard_normal((N, OUTPUTS, STATES))
     D, f = 0.1 * rng.standard_normal((N, OUTPUTS, INPUTS)), rng.standard_normal((N, STATES))
     durations = np.array([0.3, 0.5, 0.2])
@@ -59,8 +59,6 @@ def test_jumps_are_very_short_steps(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_norms_gramians_and_lyapunov_with_jumps(seed: int) -> None:
     jumps, short = _systems(seed)
-    if not lp.floquet(jumps).is_stable:
-        pytest.skip("no norms of an unstable system")
     found, right = lp.gramians(jumps), lp.gramians(short)
     np.testing.assert_allclose(found.controllability, right.controllability[::2], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(found.observability, right.observability[::2], rtol=1e-9, atol=1e-12)

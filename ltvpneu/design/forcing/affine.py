@@ -19,8 +19,8 @@ import numpy as np
 from ltvpneu._arrays import ComplexArray, FloatArray
 from ltvpneu._values import Value
 from ltvpneu.periodic.cyclic import solve_cyclic
-from ltvpneu.periodic.orbit import signal_index
 from ltvpneu.periodic.propagate import balancing_scales, complex_exponentials, exponentials
+from ltvpneu.periodic.signals import signal_index
 from ltvpneu.periodic.steady import steady_state
 from ltvpneu.periodic.system import PeriodicSystem
 
