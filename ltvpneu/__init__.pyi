@@ -57,6 +57,8 @@ from .models.nonlinear.stiction_band import StictionBand as StictionBand
 from .models.nonlinear.stiction_band import stiction_band as stiction_band
 from .models.nonlinear.stroke import Stroke as Stroke
 from .models.nonlinear.stroke import stroke as stroke
+from .periodic.discrete import DiscretePeriodicSystem as DiscretePeriodicSystem
+from .periodic.discrete import sampled as sampled
 from .periodic.events import with_state_events as with_state_events
 from .periodic.floquet import Floquet as Floquet
 from .periodic.floquet import floquet as floquet
@@ -79,6 +81,7 @@ from .periodic.lyapunov import lyapunov as lyapunov
 from .periodic.lyapunov import lyapunov_factors as lyapunov_factors
 from .periodic.norms import h2_norm as h2_norm
 from .periodic.norms import hankel_norm as hankel_norm
+from .periodic.observer import observer_controller as observer_controller
 from .periodic.orbit import Orbit as Orbit
 from .periodic.product import ProductMultipliers as ProductMultipliers
 from .periodic.product import product_multipliers as product_multipliers

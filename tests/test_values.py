@@ -97,6 +97,7 @@ SAMPLES: dict[str, Callable[[], Any]] = {
     "OrbitMap": lambda: lp.orbit_map(sprung_less(), [0.5], [8.0]),
     "ParameterSensitivity": lambda: lp.parameter_sensitivity(model(), ["duty"]),
     "PatternSolution": lambda: design.optimize_pattern(MACHINE, 10.0, 6, mean={"position": (0.03, 0.06)}),
+    "DiscretePeriodicSystem": lambda: lp.sampled(lp.ltv_model(MACHINE, 15.0).system),
     "PeriodicSystem": lambda: lp.ltv_model(MACHINE, 15.0).system,
     "PeriodMap": lambda: lp.PeriodMap(machine=MACHINE, frequency=8.0),
     "Port": lambda: MACHINE.valve.ports[0],

@@ -207,14 +207,14 @@ class Coefficients(Value, ABC):
         """
 
     @abstractmethod
-    def beside(self, other: Self) -> tuple[Self, Self]:
+    def beside(self, other: Any) -> tuple[Self, Self]:
         """Return both systems with the same steps over a common period."""
 
     def without_jumps(self) -> Self:
         """Return the system without jumps of its state."""
         return self
 
-    def jumps_beside(self, other: Self) -> dict[str, FloatArray]:
+    def jumps_beside(self, other: Any) -> dict[str, FloatArray]:
         """Return the jumps of both, side by side; none where neither has any."""
         return {}
 

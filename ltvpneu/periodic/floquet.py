@@ -22,15 +22,16 @@ from typing import final
 
 import numpy as np
 
-from ltvpneu._arrays import ComplexArray, FloatArray, not_negative, read_only
+from ltvpneu._arrays import ComplexArray, FloatArray, IntArray, not_negative, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import StepOverflowError
+from ltvpneu.periodic.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
 from ltvpneu.periodic.modes import Maps, ModeVectors, cyclic_vectors
 from ltvpneu.periodic.orbit import Orbit
 from ltvpneu.periodic.product import exp_of, expect_converged, falling, from_logs, product_multipliers, rank_of
 from ltvpneu.periodic.propagate import complex_exponentials
 from ltvpneu.periodic.schur import log_eigenvalues
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
+from ltvpneu.periodic.system import PeriodicSystem
 
 LEAST_SHARE, TINY = -27.0, float(np.finfo(float).tiny)
 """Logarithm of a modulus, over the largest or one, below which the whole map has lost it to rounding [-]."""
@@ -40,7 +41,7 @@ TRACE_TOLERANCE = 1e-11
 """Of the sum of the logarithms, relative to the norm of A times the period."""
 
 
-def monodromy(system: PeriodicSystem) -> FloatArray:
+def monodromy(system: AnyPeriodicSystem) -> FloatArray:
     """Return the monodromy matrix Phi, z(T) = Phi z(0) + g, shape (n, n).
 
     Raises
@@ -56,9 +57,11 @@ def monodromy(system: PeriodicSystem) -> FloatArray:
     >>> math.isclose(lp.monodromy(system)[0, 0], math.exp(-2))
     True
     """
-    expect_system(system)
-    n, scales = system.n_states, system.scaled.scales
-    finer = system if system.is_representable else system.split(system.fine_pieces)
+    expect_periodic(system)
+    n, scales = system.n_states, system.scales
+    finer = system
+    if isinstance(system, PeriodicSystem) and not system.is_representable:
+        finer = system.split(system.fine_pieces)
     product, exponent = np.eye(n), 0
     for factor in finer.maps.maps[:, :n, :n]:
         # By powers of two: growth within the period that comes back again shall not overflow on the way.
@@ -92,7 +95,7 @@ class Floquet(Value):
     least_margin: float
     maps: Maps
     """What the multipliers are of."""
-    system: PeriodicSystem | None = None
+    system: AnyPeriodicSystem | None = None
     """The periodic system, where they are of one."""
     orbit: Orbit | None = None
     """The orbit, where they are of one: of the nonlinear machine, or of a linear model that follows its cycle."""
@@ -253,13 +256,13 @@ class Floquet(Value):
         Raises
         ------
         ValueError
-            The multipliers are of an orbit, whose modes are known at the starts of its steps: `mode_shapes`.
+            The multipliers are of an orbit, or in discrete time: modes are known at the starts of steps, `mode_shapes`.
         """
         system, exponent = self.system, self.exponents[mode]
-        if system is None:
+        if not isinstance(system, PeriodicSystem):
             raise ValueError(
-                "mode_shape: found the multipliers of an orbit, expected those of a periodic system (lp.floquet); "
-                "the modes of an orbit are known at the starts of its steps, .mode_shapes"
+                "mode_shape: found the multipliers of an orbit or of a system in discrete time, expected those of a "
+                "PeriodicSystem (lp.floquet); other modes are known at the starts of steps, .mode_shapes"
             )
         step, local = system.step_at(times)
         matrices = system.scaled.matrices[step, :-1, :-1] - exponent * np.eye(system.n_states)
@@ -324,12 +327,12 @@ def _eigenvector(matrix: FloatArray, eigenvalue: complex) -> ComplexArray:
     return vectors[:, int(np.argmin(np.abs(values - eigenvalue)))].astype(np.complex128)
 
 
-def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
+def floquet(system: AnyPeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     """Return the Floquet multipliers and modes of a periodic system.
 
     Parameters
     ----------
-    system : PeriodicSystem
+    system : PeriodicSystem or DiscretePeriodicSystem
     least_margin : float
         Smallest margin of the verdict. It is widened to the rounding error of the largest multipliers, estimated from
         their condition numbers.
@@ -346,9 +349,11 @@ def floquet(system: PeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:
     >>> lp.floquet(model.system).verdict
     'stable'
     """
-    expect_system(system)
+    expect_periodic(system)
+    if isinstance(system, DiscretePeriodicSystem):
+        return _of_product(system, system.balanced[0], system.durations, np.arange(system.n_steps), least_margin)
     if system.has_jumps and _jumps_are_singular(system):
-        return _of_singular_jumps(system, not_negative("least_margin", least_margin))
+        return _of_singular_jumps(system, least_margin)
     factors = system.factors
     found = log_eigenvalues(factors.matrices, factors.row_logs)
     expect_converged(found, len(factors.matrices), system.n_states)
@@ -383,19 +388,22 @@ def _of_singular_jumps(system: PeriodicSystem, least_margin: float) -> Floquet:
     n, N = system.n_states, system.n_steps
     flows, jumps = system.flows.maps[:, :n, :n], system.scaled_jumps[:, :n, :n]
     factors = np.stack([flows, jumps], axis=1).reshape(2 * N, n, n)
+    durations = np.stack([system.durations, np.zeros(N)], axis=1).ravel()
+    return _of_product(system, factors, durations, 2 * np.arange(N), least_margin)
+
+
+def _of_product(
+    system: AnyPeriodicSystem, factors: FloatArray, durations: FloatArray, starts: IntArray, least_margin: float
+) -> Floquet:
+    """Return the multipliers of a system whose maps, some perhaps singular, are given."""
     found = product_multipliers(factors)
     return Floquet(
         period=system.period,
         multipliers=found.multipliers,
         log_moduli=found.log_moduli,
         angles=found.angles,
-        least_margin=least_margin,
-        maps=Maps(
-            factors=factors,
-            durations=np.stack([system.durations, np.zeros(N)], axis=1).ravel(),
-            starts=2 * np.arange(N),
-            scales=system.scaled.scales,
-        ),
+        least_margin=not_negative("least_margin", least_margin),
+        maps=Maps(factors=factors, durations=durations, starts=starts, scales=system.scales),
         system=system,
     )
 

@@ -1,6 +1,7 @@
 """Controllability and observability Gramians of a stable periodic system.
 
-P' = A P + P A' + B B' forward and -Q' = A' Q + Q A + C' C backward, both periodic. The square roots of the eigenvalues
+P' = A P + P A' + B B' forward and -Q' = A' Q + Q A + C' C backward, both periodic; in discrete time
+P_{k+1} = A P_k A' + B B' and Q_k = A' Q_{k+1} A + C' C. The square roots of the eigenvalues
 of P Q at one instant are the Hankel singular values there: gains from past inputs to future outputs.
 """
 
@@ -13,17 +14,21 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array, read_only
 from ltvpneu._values import Value
-from ltvpneu.periodic.lyapunov import expect_stable, from_reversed, periodic_factors, step_gramians
+from ltvpneu.periodic.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
+from ltvpneu.periodic.lyapunov import compressed, expect_stable, from_reversed, periodic_factors, step_gramians
 from ltvpneu.periodic.propagate import exponentials
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
+from ltvpneu.periodic.system import PeriodicSystem
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Gramians(Value):
-    """Gramians over the period, from their factors at the starts of the steps."""
+    """Gramians over the period, from their factors at the starts of the steps.
 
-    system: PeriodicSystem
+    In discrete time those of a step hold until the next one starts.
+    """
+
+    system: AnyPeriodicSystem
     balanced_factors: tuple[FloatArray, FloatArray]
     """Factors of P and Q in the system's balanced coordinates, each (n_steps, n, n)."""
 
@@ -33,12 +38,12 @@ class Gramians(Value):
     @cached_property
     def controllability_factors(self) -> FloatArray:
         """L with P = L L' at the start of each step, (n_steps, n, n)."""
-        return read_only(self.balanced_factors[0] * self.system.scaled.scales[:, None])
+        return read_only(self.balanced_factors[0] * self.system.scales[:, None])
 
     @cached_property
     def observability_factors(self) -> FloatArray:
         """L with Q = L L' at the start of each step, (n_steps, n, n)."""
-        return read_only(self.balanced_factors[1] / self.system.scaled.scales[:, None])
+        return read_only(self.balanced_factors[1] / self.system.scales[:, None])
 
     @cached_property
     def controllability(self) -> FloatArray:
@@ -62,16 +67,18 @@ class Gramians(Value):
     def controllability_at(self, times: ArrayLike) -> FloatArray:
         """Return P at any times [s], (n_times, n, n)."""
         factors, _ = self._factors_at(finite_array("times", times, (None,)))
-        return _squared(factors * self.system.scaled.scales[:, None])
+        return _squared(factors * self.system.scales[:, None])
 
     def observability_at(self, times: ArrayLike) -> FloatArray:
         """Return Q at any times [s], (n_times, n, n)."""
         _, factors = self._factors_at(finite_array("times", times, (None,)))
-        return _squared(factors / self.system.scaled.scales[:, None])
+        return _squared(factors / self.system.scales[:, None])
 
     def _factors_at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         system = self.system
         step, local = system.step_at(np.mod(times, system.period))
+        if isinstance(system, DiscretePeriodicSystem):
+            return self.balanced_factors[0][step], self.balanced_factors[1][step]
         left = system.durations[step] - local
         A, B, C = (part[step] for part in balanced_matrices(system))
         since = step_gramians(A, B, C, local).controllability
@@ -84,7 +91,7 @@ class Gramians(Value):
         return np.concatenate([since, from_start], axis=2), np.concatenate([until, to_end], axis=2)
 
 
-def gramians(system: PeriodicSystem) -> Gramians:
+def gramians(system: AnyPeriodicSystem) -> Gramians:
     """Return the controllability and observability Gramians.
 
     Raises
@@ -101,13 +108,16 @@ def gramians(system: PeriodicSystem) -> Gramians:
     >>> lp.gramians(system).controllability
     array([[[0.5]]])
     """
-    expect_system(system)
+    expect_periodic(system)
     expect_stable(system, "a Gramian")
-    A, B, C = balanced_matrices(system)
-    steps = step_gramians(A, B, C, system.durations)
+    if isinstance(system, DiscretePeriodicSystem):
+        _, B, C = system.balanced
+        reached, seen = compressed(B), compressed(np.swapaxes(C, 1, 2))
+    else:
+        steps = step_gramians(*balanced_matrices(system), system.durations)
+        reached, seen = system.scaled_jumps[:, :-1, :-1] @ steps.controllability, steps.observability
     maps = system.maps.maps[:, :-1, :-1]
-    reached = system.scaled_jumps[:, :-1, :-1] @ steps.controllability
-    backward = periodic_factors(np.swapaxes(maps[::-1], 1, 2), steps.observability[::-1])
+    backward = periodic_factors(np.swapaxes(maps[::-1], 1, 2), seen[::-1])
     return Gramians(
         system=system,
         balanced_factors=(periodic_factors(maps, reached), from_reversed(backward)),

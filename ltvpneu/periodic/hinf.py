@@ -17,15 +17,16 @@ import math
 
 import numpy as np
 
-from ltvpneu._arrays import FloatArray, positive
+from ltvpneu._arrays import FloatArray, positive, solved
+from ltvpneu.periodic.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.gramians import balanced_matrices, gramians
 from ltvpneu.periodic.propagate import balancing_scales
 from ltvpneu.periodic.scattering import Scattering, bounded_period, bounded_steps
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
+from ltvpneu.periodic.system import PeriodicSystem
 
 
-def hinf_norm(system: PeriodicSystem, *, rtol: float = 1e-14) -> float:
+def hinf_norm(system: AnyPeriodicSystem, *, rtol: float = 1e-14) -> float:
     """Return the Hinf norm: the largest ratio of the output's to the input's energy, square root taken.
 
     It takes some fifty bisections, each as long as a solution of a Riccati equation: ten times as long as the H2 norm,
@@ -33,7 +34,7 @@ def hinf_norm(system: PeriodicSystem, *, rtol: float = 1e-14) -> float:
 
     Parameters
     ----------
-    system : PeriodicSystem
+    system : PeriodicSystem or DiscretePeriodicSystem
     rtol : float
         Relative width of the last bracket.
 
@@ -54,7 +55,7 @@ def hinf_norm(system: PeriodicSystem, *, rtol: float = 1e-14) -> float:
     >>> round(lp.hinf_norm(system), 12)
     0.5
     """
-    expect_system(system)
+    expect_periodic(system)
     rtol = positive("rtol", rtol)
     if not floquet(system).is_stable:
         return math.inf
@@ -78,14 +79,11 @@ def hinf_norm(system: PeriodicSystem, *, rtol: float = 1e-14) -> float:
     return low + (high - low) / 2
 
 
-def _is_bound(system: PeriodicSystem, gamma: float) -> bool:
+def _is_bound(system: AnyPeriodicSystem, gamma: float) -> bool:
     """Return whether gamma exceeds the norm."""
-    A, G, Q, jumps = _game(system, gamma)
-    steps = bounded_steps(A, G, Q, system.durations)
+    steps = _discrete_game(system, gamma) if isinstance(system, DiscretePeriodicSystem) else _steps(system, gamma)
     if steps is None:
         return False
-    if system.has_jumps:
-        steps = steps.then(Scattering(E=jumps, G=np.zeros_like(jumps), H=np.zeros_like(jumps)))
     total = bounded_period(steps)
     if total is None:
         return False
@@ -97,6 +95,31 @@ def _is_bound(system: PeriodicSystem, gamma: float) -> bool:
             return True
     # Neither broken nor forgotten after 2^60 periods: the norm itself, to rounding.
     return True
+
+
+def _steps(system: PeriodicSystem, gamma: float) -> Scattering | None:
+    """Return the game's steps with the jumps at their ends, or None where it breaks within one."""
+    A, G, Q, jumps = _game(system, gamma)
+    steps = bounded_steps(A, G, Q, system.durations)
+    if steps is None:
+        return None
+    if system.has_jumps:
+        steps = steps.then(Scattering(E=jumps, G=np.zeros_like(jumps), H=np.zeros_like(jumps)))
+    return steps
+
+
+def _discrete_game(system: DiscretePeriodicSystem, gamma: float) -> Scattering:
+    """Return the game's steps in discrete time.
+
+    Over a step the input u = R^-1 (D' C z + B' p_1) with R = gamma^2 I - D' D is the worst for costates p.
+    """
+    A, B, C = system.balanced
+    D = system.D / gamma
+    C = C / gamma
+    Bt, Ct, Dt = (np.swapaxes(part, 1, 2) for part in (B, C, D))
+    R: FloatArray = np.eye(D.shape[2]) - Dt @ D
+    by_state, by_costate = solved(R, Dt @ C), solved(R, Bt)
+    return Scattering(E=A + B @ by_state, G=-B @ by_costate, H=Ct @ (C + D @ by_state))
 
 
 def _balanced_with_ports(system: PeriodicSystem) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -6,22 +6,23 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import finite_array
-from ltvpneu.periodic.joined import in_feedback, in_parallel, in_series, side_by_side
+from ltvpneu.periodic.discrete import AnyPeriodicSystem, expect_periodic
+from ltvpneu.periodic.joined import System, in_feedback, in_parallel, in_series, side_by_side
 from ltvpneu.periodic.lyapunov import each_step
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 
-def series(first: Any, second: Any) -> PeriodicSystem:
+def series(first: Any, second: Any) -> AnyPeriodicSystem:
     """Return the second system driven by the first one's outputs, in order; as `control.series`.
 
     Parameters
     ----------
-    first, second : PeriodicSystem, control.StateSpace or array_like
-        One at least a `PeriodicSystem`; a `control.StateSpace` in continuous time, or a constant gain (n_out, n_in).
+    first, second : PeriodicSystem, DiscretePeriodicSystem, control.StateSpace or array_like
+        One at least periodic; the other may be a `control.StateSpace` of the same kind of time (in discrete time with
+        dt the duration of the steps), or a constant gain (n_out, n_in).
 
     Returns
     -------
-    PeriodicSystem
+    PeriodicSystem or DiscretePeriodicSystem
         Inputs and levels of the first, outputs of the second.
 
     Raises
@@ -39,17 +40,17 @@ def series(first: Any, second: Any) -> PeriodicSystem:
     return in_series(first, second, _lead(first, second))
 
 
-def parallel(first: Any, second: Any) -> PeriodicSystem:
+def parallel(first: Any, second: Any) -> AnyPeriodicSystem:
     """Return both systems with the same inputs and the sum of their outputs; as `control.parallel`.
 
     Parameters
     ----------
-    first, second : PeriodicSystem, control.StateSpace or array_like
-        One at least a `PeriodicSystem`.
+    first, second : PeriodicSystem, DiscretePeriodicSystem, control.StateSpace or array_like
+        One at least periodic, as in `series`.
 
     Returns
     -------
-    PeriodicSystem
+    PeriodicSystem or DiscretePeriodicSystem
         Names of inputs and outputs, and levels, of the first that is periodic.
 
     Raises
@@ -60,13 +61,13 @@ def parallel(first: Any, second: Any) -> PeriodicSystem:
     return in_parallel(first, second, _lead(first, second))
 
 
-def append(first: Any, second: Any) -> PeriodicSystem:
+def append(first: Any, second: Any) -> AnyPeriodicSystem:
     """Return both systems side by side, each with its own inputs and outputs; as `control.append`.
 
     Parameters
     ----------
-    first, second : PeriodicSystem, control.StateSpace or array_like
-        One at least a `PeriodicSystem`.
+    first, second : PeriodicSystem, DiscretePeriodicSystem, control.StateSpace or array_like
+        One at least periodic, as in `series`.
 
     Raises
     ------
@@ -83,19 +84,19 @@ def append(first: Any, second: Any) -> PeriodicSystem:
     return side_by_side(first, second, _lead(first, second))
 
 
-def feedback(first: Any, second: Any, sign: float = -1) -> PeriodicSystem:
+def feedback(first: Any, second: Any, sign: float = -1) -> AnyPeriodicSystem:
     """Return the first system with the second from its outputs back to its inputs; as `control.feedback`.
 
     Parameters
     ----------
-    first, second : PeriodicSystem, control.StateSpace or array_like
-        One at least a `PeriodicSystem`.
+    first, second : PeriodicSystem, DiscretePeriodicSystem, control.StateSpace or array_like
+        One at least periodic, as in `series`.
     sign : float
         -1: negative feedback, u + sign * y_second goes in.
 
     Returns
     -------
-    PeriodicSystem
+    PeriodicSystem or DiscretePeriodicSystem
         Inputs, outputs and levels of the first.
 
     Raises
@@ -108,12 +109,12 @@ def feedback(first: Any, second: Any, sign: float = -1) -> PeriodicSystem:
     return in_feedback(first, second, _lead(first, second), sign)
 
 
-def state_feedback(system: PeriodicSystem, K: ArrayLike) -> PeriodicSystem:
+def state_feedback(system: System, K: ArrayLike) -> System:
     """Return the system under u = v - K z: static, periodic state feedback, with v in place of its inputs.
 
     Parameters
     ----------
-    system : PeriodicSystem
+    system : PeriodicSystem or DiscretePeriodicSystem
     K : array_like, shape (m, n) or (n_steps, m, n)
 
     Examples
@@ -123,17 +124,17 @@ def state_feedback(system: PeriodicSystem, K: ArrayLike) -> PeriodicSystem:
     >>> lp.state_feedback(system, [[[0.0]], [[2.0]]]).A.ravel()
     array([ 0., -2.])
     """
-    expect_system(system)
+    expect_periodic(system)
     gains = finite_array("K", each_step("K", K, system.n_steps, len(system.inputs)), (None, None, system.n_states))
     return replace(
         system, A=system.A - system.B @ gains, C=system.C - system.D @ gains, name=f"{system.name}_state_feedback"
     )
 
 
-def _lead(first: Any, second: Any) -> PeriodicSystem:
+def _lead(first: Any, second: Any) -> AnyPeriodicSystem:
     """Return the first operand that is periodic."""
-    lead = next((x for x in (first, second) if isinstance(x, PeriodicSystem)), None)
+    lead = next((x for x in (first, second) if isinstance(x, AnyPeriodicSystem)), None)
     if lead is None:
         kinds = f"{type(first).__name__} and {type(second).__name__}"
-        raise TypeError(f"interconnection: found {kinds}, expected one PeriodicSystem at least")
+        raise TypeError(f"interconnection: found {kinds}, expected one PeriodicSystem at least, or a discrete one")
     return lead

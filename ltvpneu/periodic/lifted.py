@@ -7,21 +7,22 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu.periodic import bridge
 from ltvpneu.periodic.bridge import CONSTANT_INPUT
-from ltvpneu.periodic.propagate import forced_exponentials
+from ltvpneu.periodic.discrete import AnyPeriodicSystem, expect_periodic
+from ltvpneu.periodic.held import held_maps
 from ltvpneu.periodic.system import PeriodicSystem, expect_no_jumps, expect_system
 
 if TYPE_CHECKING:
     import control
 
 
-def lifted(system: PeriodicSystem, *, stacked: bool = False) -> "control.StateSpace":
+def lifted(system: AnyPeriodicSystem, *, stacked: bool = False) -> "control.StateSpace":
     """Return the map over one period, z(T) = Phi z(0) + Gamma u, as a discrete-time system with dt = period.
 
     Its poles are the Floquet multipliers.
 
     Parameters
     ----------
-    system : PeriodicSystem
+    system : PeriodicSystem or DiscretePeriodicSystem
     stacked : bool
         False: inputs constant over the period, outputs at its start. True: one value of each input a step, held over
         it, and every output at the start of every step, named "u1[1]", "u1[2]", ... and "y1[1]", ...
@@ -43,9 +44,9 @@ def lifted(system: PeriodicSystem, *, stacked: bool = False) -> "control.StateSp
     >>> lp.lifted(system).input_labels, lp.lifted(system, stacked=True).input_labels
     (['u1', 'one'], ['u1[1]', 'u1[2]', 'one'])
     """
-    expect_system(system)
+    expect_periodic(system)
     N, n, m = system.B.shape
-    maps = _input_maps(system)
+    maps = held_maps(system) if isinstance(system, PeriodicSystem) else system.input_maps
     # State at each step's start over (z(0), one u a step, one).
     rows = np.zeros((n, n + N * m + 1))
     rows[:, :n] = np.eye(n)
@@ -110,25 +111,6 @@ def averaged(system: PeriodicSystem) -> "control.StateSpace":
         (system.states, [*system.inputs, CONSTANT_INPUT], system.outputs),
         f"{system.name}_averaged",
     )
-
-
-def _input_maps(system: PeriodicSystem) -> FloatArray:
-    """Return [W, Gamma, g] of each step, z -> W z + Gamma u + g, shape (n_steps, n, n + m + 1)."""
-    N, n, m = system.B.shape
-    scales = system.scaled.scales
-    forced = np.concatenate([system.B, system.r[:, :, None]], axis=2) / scales[:, None]
-    largest = np.max(np.abs(forced), axis=(0, 1), initial=0.0) * system.period
-    units = np.exp2(-np.round(np.log2(np.where(largest > 0, largest, 1.0))))
-    matrices = np.zeros((N, n + m + 1, n + m + 1))
-    matrices[:, :n, :n], matrices[:, :n, n:] = system.scaled.matrices[:, :n, :n], forced * units
-    # Raises where a step overflows.
-    _ = system.flows
-    maps = forced_exponentials(matrices * system.durations[:, None, None], n)[:, :n]
-    maps = maps * scales[:, None] / np.concatenate([scales, units])
-    if system.J is not None and system.j is not None:
-        maps = system.J @ maps
-        maps[:, :, -1] += system.j
-    return maps
 
 
 def _held_together(rows: FloatArray, N: int, n: int) -> FloatArray:

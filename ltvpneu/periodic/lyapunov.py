@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import FloatArray, finite_array, read_only
 from ltvpneu._values import Value
 from ltvpneu.errors import NotStableError
+from ltvpneu.periodic.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.propagate import exponentials, one_blas_thread
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 NODES, WEIGHTS = (NODES + 1) / 2, WEIGHTS / 2
@@ -116,7 +116,7 @@ def from_reversed(values: FloatArray) -> FloatArray:
     return np.roll(values[::-1], 1, axis=0)
 
 
-def expect_stable(system: PeriodicSystem, what: str) -> None:
+def expect_stable(system: AnyPeriodicSystem, what: str) -> None:
     """Raise `NotStableError` unless every perturbation decays."""
     found = floquet(system)
     if not found.is_stable:
@@ -127,12 +127,12 @@ def expect_stable(system: PeriodicSystem, what: str) -> None:
         )
 
 
-def lyapunov_factors(system: PeriodicSystem, B: ArrayLike, *, adjoint: bool = False) -> FloatArray:
+def lyapunov_factors(system: AnyPeriodicSystem, B: ArrayLike, *, adjoint: bool = False) -> FloatArray:
     """Return factors L of the periodic solution P = L L' for W = B B', at the start of each step.
 
     Parameters
     ----------
-    system : PeriodicSystem
+    system : PeriodicSystem or DiscretePeriodicSystem
     B : array_like, shape (n, m) or (n_steps, n, m)
     adjoint : bool
         Of -P' = A' P + P A + W instead of P' = A P + P A' + W.
@@ -148,32 +148,40 @@ def lyapunov_factors(system: PeriodicSystem, B: ArrayLike, *, adjoint: bool = Fa
     StepOverflowError
         A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
     """
-    expect_system(system)
+    expect_periodic(system)
     N, n = system.n_steps, system.n_states
     columns = each_step("B", B, N, n)
     expect_stable(system, "a periodic Lyapunov equation")
-    scales = system.scaled.scales
-    A, maps = system.scaled.matrices[:, :n, :n], system.maps.maps[:, :n, :n]
+    scales = 1 / system.scales if adjoint else system.scales
+    columns, maps = columns / scales[:, None], system.maps.maps[:, :n, :n]
     if adjoint:
-        scales = 1 / scales
-        A, maps = np.swapaxes(A[::-1], 1, 2), np.swapaxes(maps[::-1], 1, 2)
-        columns = columns[::-1]
-    durations = system.durations[::-1] if adjoint else system.durations
-    nothing = np.zeros((N, 0, n))
-    gains = step_gramians(A, columns / scales[:, None], nothing, durations).controllability
-    if not adjoint:
-        # What came in within a step jumps at its end; backward it comes in before the jump is reached.
-        gains = system.scaled_jumps[:, :n, :n] @ gains
+        maps = np.swapaxes(maps[::-1], 1, 2)
+    gains = _gains(system, columns, adjoint)
     found = periodic_factors(maps, gains) * scales[:, None]
     return read_only(from_reversed(found) if adjoint else found)
 
 
-def lyapunov(system: PeriodicSystem, W: ArrayLike, *, adjoint: bool = False) -> FloatArray:
+def _gains(system: AnyPeriodicSystem, columns: FloatArray, adjoint: bool) -> FloatArray:
+    """Return the factors of what comes in over each step, balanced, in the order in which steps are passed."""
+    if isinstance(system, DiscretePeriodicSystem):
+        return compressed(columns[::-1] if adjoint else columns)
+    n, nothing = system.n_states, np.zeros((system.n_steps, 0, system.n_states))
+    A = system.scaled.matrices[:, :n, :n]
+    if adjoint:
+        A = np.swapaxes(A[::-1], 1, 2)
+        return step_gramians(A, columns[::-1], nothing, system.durations[::-1]).controllability
+    # What came in within a step jumps at its end; backward it comes in before the jump is reached.
+    return system.scaled_jumps[:, :n, :n] @ step_gramians(A, columns, nothing, system.durations).controllability
+
+
+def lyapunov(system: AnyPeriodicSystem, W: ArrayLike, *, adjoint: bool = False) -> FloatArray:
     """Return the periodic solution P of P' = A P + P A' + W at the start of each step.
+
+    In discrete time of P_{k+1} = A P_k A' + W; adjoint of P_k = A' P_{k+1} A + W.
 
     Parameters
     ----------
-    system : PeriodicSystem
+    system : PeriodicSystem or DiscretePeriodicSystem
     W : array_like, shape (n, n) or (n_steps, n, n)
         Symmetric, not necessarily definite.
     adjoint : bool
@@ -197,7 +205,7 @@ def lyapunov(system: PeriodicSystem, W: ArrayLike, *, adjoint: bool = False) -> 
     >>> lp.lyapunov(system, [[1.0]]).round(4).ravel()
     array([0.1774, 0.3813])
     """
-    expect_system(system)
+    expect_periodic(system)
     weights = symmetric("W", W, system.n_steps, system.n_states)
     values, vectors = np.linalg.eigh(weights)
     roots = vectors * np.sqrt(np.abs(values))[:, None, :]

@@ -1,6 +1,7 @@
 r"""H2 and Hankel norm of a periodic system, from Gramians; infinite where it is not stable.
 
-The H2 norm is the root mean square of the output under white noise of unit intensity,
+The H2 norm is the root mean square of the output under white noise of unit intensity (in discrete time: of unit
+covariance, over the steps of a period),
 
 .. math:: \|G\|_2^2 = \frac1T \int_0^T \mathrm{tr}\, C P C' \, dt
           = \frac1T \sum_k \left( \mathrm{tr}\, O_k P_k + \int_0^{T_k} (T_k - s) \|C_k e^{A_k s} B_k\|_F^2 ds \right)
@@ -14,22 +15,24 @@ import math
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu.periodic.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.gramians import balanced_matrices, gramians
 from ltvpneu.periodic.lyapunov import step_gramians
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
+from ltvpneu.periodic.system import PeriodicSystem
 
 _REFINEMENTS = 14
 """Each narrows the bracket of a peak to a quarter, to 4e-9 of it in all: a flat peak is then right to rounding."""
 
 
-def h2_norm(system: PeriodicSystem) -> float:
+def h2_norm(system: AnyPeriodicSystem) -> float:
     """Return the H2 norm: root mean square output under white noise of unit intensity on every input.
 
     Returns
     -------
     float
-        Infinite if the system is not stable, or where an input reaches an output at once (D not zero).
+        Infinite if the system is not stable, or, in continuous time, where an input reaches an output at once (D not
+        zero).
 
     Raises
     ------
@@ -43,7 +46,9 @@ def h2_norm(system: PeriodicSystem) -> float:
     >>> round(lp.h2_norm(system) ** 2, 12)
     0.5
     """
-    expect_system(system)
+    expect_periodic(system)
+    if isinstance(system, DiscretePeriodicSystem):
+        return _discrete_h2_norm(system) if floquet(system).is_stable else math.inf
     if system.D[system.durations > 0].any() or not floquet(system).is_stable:
         return math.inf
     A, B, C = balanced_matrices(system)
@@ -52,7 +57,13 @@ def h2_norm(system: PeriodicSystem) -> float:
     return math.sqrt((float(np.sum(carried**2)) + float(np.sum(steps.energy))) / system.period)
 
 
-def hankel_norm(system: PeriodicSystem) -> float:
+def _discrete_h2_norm(system: DiscretePeriodicSystem) -> float:
+    """Root of the mean over the steps of tr C P C' + D D'."""
+    seen = system.balanced[2] @ gramians(system).balanced_factors[0]
+    return math.sqrt((float(np.sum(seen**2)) + float(np.sum(system.D**2))) / system.n_steps)
+
+
+def hankel_norm(system: AnyPeriodicSystem) -> float:
     """Return the Hankel norm: the largest Hankel singular value over the period.
 
     Returns
@@ -72,11 +83,13 @@ def hankel_norm(system: PeriodicSystem) -> float:
     >>> round(lp.hankel_norm(system), 12)
     0.5
     """
-    expect_system(system)
+    expect_periodic(system)
     if not floquet(system).is_stable:
         return math.inf
     if system.n_states == 0:
         return 0.0
+    if isinstance(system, DiscretePeriodicSystem):
+        return float(np.max(gramians(system).hankel_singular_values))
     # A step of no duration changes nothing, and would be looked at as closely as any other.
     system = system.without_empty_steps()
     found = gramians(system)

@@ -5,17 +5,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import finite_array, whole
+from ltvpneu._arrays import FloatArray, finite_array, whole
 from ltvpneu.periodic import bridge
+from ltvpneu.periodic.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
 from ltvpneu.periodic.propagate import forced_exponentials
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
 
 if TYPE_CHECKING:
     import control
 
 
 def response(
-    system: PeriodicSystem,
+    system: AnyPeriodicSystem,
     *,
     n_periods: int = 10,
     initial_state: ArrayLike | None = None,
@@ -25,13 +25,13 @@ def response(
 
     Parameters
     ----------
-    system : PeriodicSystem
+    system : PeriodicSystem or DiscretePeriodicSystem
     n_periods : int
     initial_state : array_like, shape (n,), optional
         Zero by default.
     points_per_period : int
         Least number of times per period; every step boundary is among them. Where an output jumps at a boundary, the
-        value is the one just after it.
+        value is the one just after it. In discrete time the starts of the steps are all that there are.
 
     Returns
     -------
@@ -45,12 +45,14 @@ def response(
     >>> lp.response(system, n_periods=3).states.shape[0]
     1
     """
-    expect_system(system)
+    expect_periodic(system)
     n_periods = whole("n_periods", n_periods)
     points_per_period = whole("points_per_period", points_per_period)
     start = np.zeros(system.n_states)
     if initial_state is not None:
         start = finite_array("initial_state", initial_state, (system.n_states,))
+    if isinstance(system, DiscretePeriodicSystem):
+        return _discrete_response(system, n_periods, start)
     steps = system.scaled
     state = steps.augmented(start)
     local_times = [
@@ -80,3 +82,16 @@ def response(
         (system.outputs, np.concatenate(outputs).T),
         system.name,
     )
+
+
+def _discrete_response(system: DiscretePeriodicSystem, n_periods: int, state: FloatArray) -> "control.TimeResponseData":
+    states = [state]
+    for _ in range(n_periods):
+        for A, f in zip(system.A, system.f, strict=True):
+            states.append(A @ states[-1] + f)
+    found = np.array(states)
+    step = np.arange(len(found)) % system.n_steps
+    outputs = (system.C[step] @ found[:, :, None])[:, :, 0] + system.output_bias[step]
+    periods = np.arange(n_periods)[:, None] * system.period
+    times = np.append((periods + system.switching_times[:-1]).ravel(), n_periods * system.period)
+    return bridge.time_response(times, (system.states, found.T), (system.outputs, outputs.T), system.name)

@@ -21,13 +21,14 @@ from numpy.typing import ArrayLike
 from ltvpneu._arrays import ComplexArray, FloatArray, finite_array, read_only, solved
 from ltvpneu._values import Value
 from ltvpneu.errors import NotStabilizableError
+from ltvpneu.periodic.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.gramians import balanced_matrices
 from ltvpneu.periodic.lyapunov import each_step, from_reversed, step_gramians, symmetric
 from ltvpneu.periodic.product import from_logs, log_multipliers
 from ltvpneu.periodic.propagate import exponentials
 from ltvpneu.periodic.scattering import Scattering, continuous_steps, over_period
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
+from ltvpneu.periodic.system import PeriodicSystem
 
 
 class Weights(NamedTuple):
@@ -43,7 +44,7 @@ class Weights(NamedTuple):
 class Regulator(Value):
     """Optimal periodic state feedback u = -K(t) z."""
 
-    system: PeriodicSystem
+    system: AnyPeriodicSystem
     weights: Weights
     cost_to_go: FloatArray
     """X at the start of each step: from z there on, z' X z is what is left to pay; (n_steps, n, n)."""
@@ -52,6 +53,7 @@ class Regulator(Value):
     multipliers: ComplexArray
     """Of the closed loop, largest first, (n,)."""
     is_sampled: bool
+    """Whether the control is held over each step, as in discrete time."""
     residual: float
     """How far X is from periodic, relative to its largest entry [-]."""
 
@@ -74,7 +76,7 @@ class Regulator(Value):
     def cost_to_go_at(self, times: ArrayLike) -> FloatArray:
         """Return X at any times [s] under continuous control, (n_times, n, n)."""
         system = self.system
-        if self.is_sampled:
+        if self.is_sampled or isinstance(system, DiscretePeriodicSystem):
             raise ValueError("cost_to_go_at: within a step the cost of held control depends on it; take cost_to_go")
         step, local = system.step_at(np.mod(finite_array("times", times, (None,)), system.period))
         A, G, Q = (part[step] for part in _hamiltonian_parts(system, self.weights))
@@ -91,7 +93,7 @@ class Regulator(Value):
 class Estimator(Value):
     """Optimal periodic estimator z_hat' = A z_hat + B u + L(t) (y - C z_hat - D u)."""
 
-    system: PeriodicSystem
+    system: AnyPeriodicSystem
     noise: tuple[FloatArray, FloatArray]
     """Qn and Rn of each step."""
     covariance: FloatArray
@@ -101,6 +103,7 @@ class Estimator(Value):
     multipliers: ComplexArray
     """Of the error, largest first, (n,)."""
     is_sampled: bool
+    """Whether there is one measurement a step, at its start, as in discrete time."""
     residual: float
     """How far the covariance is from periodic, relative to its largest entry [-]."""
 
@@ -122,7 +125,7 @@ class Estimator(Value):
     def covariance_at(self, times: ArrayLike) -> FloatArray:
         """Return the error's covariance at any times [s] under continuous measurement, (n_times, n, n)."""
         system = self.system
-        if self.is_sampled:
+        if self.is_sampled or isinstance(system, DiscretePeriodicSystem):
             raise ValueError("covariance_at: between measurements it depends on the one before; take covariance")
         step, local = system.step_at(np.mod(finite_array("times", times, (None,)), system.period))
         A, G, Q = (part[step] for part in _dual_parts(system, self.noise))
@@ -132,15 +135,16 @@ class Estimator(Value):
 
 
 def lqr(
-    system: PeriodicSystem, Q: ArrayLike, R: ArrayLike, *, S: ArrayLike | None = None, sampled: bool = False
+    system: AnyPeriodicSystem, Q: ArrayLike, R: ArrayLike, *, S: ArrayLike | None = None, sampled: bool = False
 ) -> Regulator:
     """Return the control u = -K(t) z that minimizes the integral of z' Q z + u' R u + 2 z' S u.
 
-    The forcing does not enter: z and u are distances from an orbit and its input levels.
+    The forcing does not enter: z and u are distances from an orbit and its input levels. In discrete time the integral
+    is a sum over the steps.
 
     Parameters
     ----------
-    system : PeriodicSystem
+    system : PeriodicSystem or DiscretePeriodicSystem
     Q : array_like, shape (n, n) or (n_steps, n, n)
         Symmetric, positive semidefinite.
     R : array_like, shape (m, m) or (n_steps, m, m)
@@ -167,8 +171,13 @@ def lqr(
     >>> lp.lqr(system, [[4.0]], [[1.0]]).gain(0.5).round(12)
     array([[2.]])
     """
-    expect_system(system)
+    expect_periodic(system)
     weights = _weights(system, Q, R, S)
+    if isinstance(system, DiscretePeriodicSystem):
+        A, B, _ = system.balanced
+        units = np.ones(len(system.inputs))
+        both = np.concatenate([system.scales, units])
+        return _step_regulator(system, weights, (A, B, _cost(weights) * both[:, None] * both), units)
     if sampled:
         return _sampled_regulator(system, weights)
     steps = continuous_steps(*_hamiltonian_parts(system, weights), system.durations)
@@ -187,15 +196,15 @@ def lqr(
     return replace(found, step_gains=read_only(solved(weights.R, reached)))
 
 
-def kalman(system: PeriodicSystem, Qn: ArrayLike, Rn: ArrayLike, *, sampled: bool = False) -> Estimator:
+def kalman(system: AnyPeriodicSystem, Qn: ArrayLike, Rn: ArrayLike, *, sampled: bool = False) -> Estimator:
     """Return the Kalman filter, the dual of `lqr`.
 
     Parameters
     ----------
-    system : PeriodicSystem
+    system : PeriodicSystem or DiscretePeriodicSystem
     Qn : array_like, shape (n, n) or (n_steps, n, n)
-        Intensity of the noise that drives the states (B W B' for one that comes in by the inputs), positive
-        semidefinite.
+        Intensity of the noise that drives the states (B W B' for one that comes in by the inputs), in discrete time
+        its covariance over a step; positive semidefinite.
     Rn : array_like, shape (p, p) or (n_steps, p, p)
         Intensity of the noise on the outputs, positive definite; where sampled, its covariance at a measurement.
     sampled : bool
@@ -217,28 +226,19 @@ def kalman(system: PeriodicSystem, Qn: ArrayLike, Rn: ArrayLike, *, sampled: boo
     >>> lp.kalman(system, [[4.0]], [[1.0]]).covariance.ravel().round(12)
     array([2., 2.])
     """
-    expect_system(system)
+    expect_periodic(system)
     N, n = system.n_steps, system.n_states
     noise = (
         _semidefinite("Qn", symmetric("Qn", Qn, N, n)),
         _definite("Rn", symmetric("Rn", Rn, N, len(system.outputs))),
     )
-    A, G, Q = _dual_parts(system, noise)
+    sampled = sampled or isinstance(system, DiscretePeriodicSystem)
+    steps = _dual_steps(system, noise, sampled)
     # Where sampled, a step of no duration takes no measurement of its own.
     long = system.durations[:, None, None] > 0
-    if sampled:
-        gained = step_gramians(np.swapaxes(A, 1, 2), _root(Q), np.zeros((N, 0, n)), system.durations).controllability
-        maps = system.flows.maps[:, :n, :n]
-        steps = Scattering(E=np.swapaxes(maps, 1, 2), G=np.where(long, G, 0.0), H=gained @ np.swapaxes(gained, 1, 2))
-    else:
-        steps = continuous_steps(A, G, Q, system.durations)
-    if system.has_jumps:
-        # The dual runs backward: it meets the jump first.
-        jumps = _jumps(system)
-        steps = Scattering(E=np.swapaxes(jumps.E, 1, 2), G=jumps.G, H=jumps.H).then(steps)
     backward = Scattering(E=steps.E[::-1], G=steps.G[::-1], H=steps.H[::-1])
     solution = _solved(backward, system, "detectable")
-    scales = system.scaled.scales
+    scales = system.scales
     covariance = from_reversed(solution.X) * scales[:, None] * scales
     seen = system.C @ covariance
     spread = noise[1] + (seen @ np.swapaxes(system.C, 1, 2) if sampled else 0.0)
@@ -254,6 +254,25 @@ def kalman(system: PeriodicSystem, Qn: ArrayLike, Rn: ArrayLike, *, sampled: boo
     )
 
 
+def _dual_steps(system: AnyPeriodicSystem, noise: tuple[FloatArray, FloatArray], sampled: bool) -> Scattering:
+    """Return the steps of the dual problem, in the order of the system's own, in balanced coordinates."""
+    A, G, Q = _dual_parts(system, noise)
+    if isinstance(system, DiscretePeriodicSystem):
+        return Scattering(E=A, G=G, H=Q)
+    N, n = system.n_steps, system.n_states
+    if sampled:
+        gained = step_gramians(np.swapaxes(A, 1, 2), _root(Q), np.zeros((N, 0, n)), system.durations).controllability
+        long, maps = system.durations[:, None, None] > 0, system.flows.maps[:, :n, :n]
+        steps = Scattering(E=np.swapaxes(maps, 1, 2), G=np.where(long, G, 0.0), H=gained @ np.swapaxes(gained, 1, 2))
+    else:
+        steps = continuous_steps(A, G, Q, system.durations)
+    if not system.has_jumps:
+        return steps
+    # The dual runs backward: it meets the jump first.
+    jumps = _jumps(system)
+    return Scattering(E=np.swapaxes(jumps.E, 1, 2), G=jumps.G, H=jumps.H).then(steps)
+
+
 def _jumps(system: PeriodicSystem) -> Scattering:
     """Return the jumps at the ends of all steps, which cost nothing, in balanced coordinates."""
     jumps = system.scaled_jumps[:, :-1, :-1]
@@ -266,7 +285,7 @@ class _Solution(NamedTuple):
     residual: float
 
 
-def _solved(steps: Scattering, system: PeriodicSystem, needed: str) -> _Solution:
+def _solved(steps: Scattering, system: AnyPeriodicSystem, needed: str) -> _Solution:
     """Return the stabilizing periodic solution at the starts of all steps, in balanced coordinates."""
     total = over_period(steps)
     n = total.E.shape[0]
@@ -359,6 +378,22 @@ def _sampled_regulator(system: PeriodicSystem, weights: Weights) -> Regulator:
     # The jump at the end of a step, of no cost, is part of its map.
     jumps = system.scaled_jumps[:, :n, :n]
     F, Gamma = jumps @ maps[:, :n, :n], jumps @ maps[:, :n, n:]
+    return _step_regulator(system, weights, (F, Gamma, paid), units)
+
+
+def _step_regulator(
+    system: AnyPeriodicSystem,
+    weights: Weights,
+    maps: tuple[FloatArray, FloatArray, FloatArray],
+    units: FloatArray,
+) -> Regulator:
+    """Return the regulator of z_{k+1} = F z + Gamma u at the cost [z; u]' paid [z; u] a step, in balanced coordinates.
+
+    Inputs are divided by `units`.
+    """
+    F, Gamma, paid = maps
+    n, m = system.B.shape[1:]
+    scales = system.scales
     # A step of no duration costs nothing and moves nothing: any R will do there.
     R = np.where(system.durations[:, None, None] > 0, paid[:, n:, n:], np.eye(m))
     from_inputs = solved(R, np.swapaxes(Gamma, 1, 2))
@@ -396,16 +431,16 @@ def _hamiltonian_parts(system: PeriodicSystem, weights: Weights) -> tuple[FloatA
 
 
 def _dual_parts(
-    system: PeriodicSystem, noise: tuple[FloatArray, FloatArray]
+    system: AnyPeriodicSystem, noise: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return balanced A', C' Rn^-1 C and Qn of each step."""
-    A, _, C = balanced_matrices(system)
-    scales = system.scaled.scales
+    A, _, C = system.balanced if isinstance(system, DiscretePeriodicSystem) else balanced_matrices(system)
+    scales = system.scales
     G = np.swapaxes(C, 1, 2) @ solved(noise[1], C)
     return np.swapaxes(A, 1, 2), G, noise[0] / scales[:, None] / scales
 
 
-def _weights(system: PeriodicSystem, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None) -> Weights:
+def _weights(system: AnyPeriodicSystem, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None) -> Weights:
     N, n, m = system.n_steps, system.n_states, len(system.inputs)
     weights = Weights(
         symmetric("Q", Q, N, n),

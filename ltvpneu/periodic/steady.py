@@ -13,20 +13,21 @@ import numpy as np
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray
 from ltvpneu.errors import NonUniqueOrbitError, NoOrbitError, StepOverflowError
 from ltvpneu.periodic.cyclic import Reduced, reduced
+from ltvpneu.periodic.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, HeldTrajectory, expect_periodic
 from ltvpneu.periodic.exponential import ExponentialTrajectory
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
+from ltvpneu.periodic.system import PeriodicSystem
 
 TINY = float(np.finfo(float).tiny)
 
 
-def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Orbit:
+def steady_state(system: AnyPeriodicSystem, *, singular_below: float = 1e-12) -> Orbit:
     """Return the periodic steady state, eq. (14).
 
     Parameters
     ----------
-    system : PeriodicSystem
+    system : PeriodicSystem or DiscretePeriodicSystem
     singular_below : float
         Smallest singular value of the balanced A + B, relative to the size of A and B, below which a multiplier counts
         as one.
@@ -55,11 +56,17 @@ def steady_state(system: PeriodicSystem, *, singular_below: float = 1e-12) -> Or
     ltvpneu.errors.NoOrbitError: no periodic steady state: a Floquet multiplier is one and every period drifts by z1
     +0.25...
     """
-    expect_system(system)
-    finer, starts = _finer(system)
-    states = _periodic_states(finer, singular_below)
-    trajectory = ExponentialTrajectory(system=finer, step_states=states)
-    reached = finer.scaled.physical((finer.maps.maps @ trajectory.starts[:, :, None])[:, :, 0])
+    expect_periodic(system)
+    if isinstance(system, DiscretePeriodicSystem):
+        states = _periodic_states(system, singular_below)
+        starts, trajectory = np.arange(system.n_steps), HeldTrajectory(system=system, step_states=states)
+        augmented, maps = system.maps.steps.augmented(states), system.maps
+    else:
+        finer, starts = _finer(system)
+        states, maps = _periodic_states(finer, singular_below), finer.maps
+        trajectory = ExponentialTrajectory(system=finer, step_states=states)
+        augmented = trajectory.starts
+    reached = maps.steps.physical((maps.maps @ augmented[:, :, None])[:, :, 0])
     following = np.concatenate([states[1:], states[:1]])
     scales = np.maximum(np.abs(states).max(axis=0), TINY)
     return Orbit(
@@ -91,7 +98,7 @@ def _finer(system: PeriodicSystem) -> tuple[PeriodicSystem, IntArray]:
     return finer, np.arange(system.n_steps) if finer is system else np.cumsum(pieces) - pieces
 
 
-def _periodic_states(system: PeriodicSystem, singular_below: float) -> FloatArray:
+def _periodic_states(system: AnyPeriodicSystem, singular_below: float) -> FloatArray:
     maps, n = system.maps, system.n_states
     one = reduced(maps.maps[:, :n, :n], maps.maps[:, :n, n:] * maps.steps.unit)
     gap = one.first + one.last
@@ -131,7 +138,7 @@ class _Null(NamedTuple):
     found: BoolArray
 
 
-def _raise_singular(system: PeriodicSystem, one: Reduced, null: _Null) -> None:
+def _raise_singular(system: AnyPeriodicSystem, one: Reduced, null: _Null) -> None:
     maps = system.maps
     scales = maps.steps.scales
     left_null, right_null = null.left[:, null.found], null.right[null.found].T

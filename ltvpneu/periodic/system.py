@@ -227,6 +227,11 @@ class PeriodicSystem(Coefficients):
         return replace(found, J=jumps, j=shifts)
 
     @property
+    def scales(self) -> FloatArray:
+        """What the states are divided by so that all steps together are balanced, (n,)."""
+        return self.scaled.scales
+
+    @property
     def dt(self) -> float:
         """Zero: continuous time."""
         return 0.0

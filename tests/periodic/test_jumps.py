@@ -13,7 +13,7 @@ N, STATES, INPUTS, OUTPUTS = 3, 3, 2, 2
 def _systems(seed: int) -> tuple[lp.PeriodicSystem, lp.PeriodicSystem]:
     """A system with jumps, and one with a very short step of a great rate, without inputs and outputs, for each."""
     rng = np.random.default_rng(seed)
-    A = rng.standard_normal((N, STATES, STATES)) - 2.5 * np.eye(STATES)
+    A = rng.standard_normal((N, STATES, STATES)) - 4.0 * np.eye(STATES)
     B, C = rng.standard_normal((N, STATES, INPUTS)), rng.standard_normal((N, OUTPUTS, STATES))
     D, f = 0.1 * rng.standard_normal((N, OUTPUTS, INPUTS)), rng.standard_normal((N, STATES))
     durations = np.array([0.3, 0.5, 0.2])
