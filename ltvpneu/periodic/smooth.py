@@ -89,6 +89,21 @@ def smooth_steps(
     )
 
 
+def step_means(name: str, function: Function, durations: FloatArray, columns: int) -> FloatArray:
+    """Return the means of a smooth matrix over steps, from Gauss's nodes, (N, p, columns)."""
+    starts = np.cumsum(durations) - durations
+
+    def at(share: float) -> list[FloatArray]:
+        times = (starts + share * durations).tolist()
+        return [finite_array(f"{name}: at t = {t:.9g} s", function(t), (None, columns)) for t in times]
+
+    first, second = at(0.5 - NODE), at(0.5 + NODE)
+    rows = {len(matrix) for matrix in first + second}
+    if len(rows) != 1:
+        raise ValueError(f"{name}: found {min(rows)} and {max(rows)} rows at different times, expected as many always")
+    return (np.array(first) + np.array(second)) / 2
+
+
 def _coefficients(A: Function, f: Function | None, B: Function | None, t: float) -> FloatArray:
     """Return [A, B, f] at one time, (n, n + m + 1)."""
     matrix = finite_array(f"A: at t = {t:.9g} s", A(t), (None, None))

@@ -20,7 +20,7 @@ from ltvpneu._arrays import BoolArray, FloatArray, IntArray, finite_array, posit
 from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic.coefficients import Coefficients, Matrices
 from ltvpneu.periodic.propagate import ScaledSteps, StepMaps, scaled_steps, step_maps
-from ltvpneu.periodic.smooth import Function, smooth_steps
+from ltvpneu.periodic.smooth import Function, smooth_steps, step_means
 from ltvpneu.periodic.step import Step
 from ltvpneu.periodic.stiff import NORM_OF_A_PIECE, Factors, step_factors, with_jumps
 
@@ -100,16 +100,18 @@ class PeriodicSystem(Coefficients):
         return f"<PeriodicSystem {self.name}: {self.n_steps} steps in {self.period:.6g} s, {ports}{jumps}>"
 
     @classmethod
-    def from_function(
+    def from_function(  # noqa: PLR0913 - the five matrices of a system
         cls,
         A: Function,
         period: float,
         f: Function | None = None,
         *,
         B: Function | None = None,
+        C: Function | None = None,
+        D: Function | None = None,
         rtol: float = 1e-9,
     ) -> Self:
-        """Return the system of smooth coefficients A(t), as steps that keep a tolerance; outputs are the states.
+        """Return the system of smooth coefficients A(t), as steps that keep a tolerance.
 
         Fourth order, by steps of the lengths that the coefficients ask for. Exact to `rtol` are the maps from step
         to step, and so multipliers and the states at the starts of steps; within a step the course is that of constant
@@ -123,7 +125,9 @@ class PeriodicSystem(Coefficients):
         period : float
             [s]
         f, B : callable, optional
-            Likewise, to (n,) and (n, m).
+            Likewise, to (n,) and (n, m); zero, and no inputs, by default.
+        C, D : callable, optional
+            Likewise, to (p, n) and (p, m); the states, and zero, by default. Each step has their means over it.
         rtol : float
             Error of the map over the period, relative to the largest maps of its parts.
 
@@ -148,7 +152,9 @@ class PeriodicSystem(Coefficients):
         durations, parts = smooth_steps(A, f, B, positive("period", period, "s"), positive("rtol", rtol))
         n = parts.shape[1]
         inputs = None if B is None else parts[:, :, n:-1]
-        return cls.from_matrices(parts[:, :, :n], parts[:, :, -1], durations, B=inputs)
+        outputs = None if C is None else step_means("C", C, durations, n)
+        through = None if D is None else step_means("D", D, durations, parts.shape[2] - n - 1)
+        return cls.from_matrices(parts[:, :, :n], parts[:, :, -1], durations, inputs, outputs, through)
 
     def with_jumps(self, J: Matrices, j: Matrices | None = None) -> Self:
         """Return the system whose state jumps at the end of each step, z+ = J z- + j: an impact, a reset.

@@ -110,3 +110,25 @@ def test_selected_channels_keep_the_orbit_and_answer_as_before():
         whole.select(inputs=[0, "u1"])
     with pytest.raises(ValueError, match=r"outputs: found 'y1', expected a list of names, such as \['y1'\]"):
         whole.select(outputs="y1")
+
+
+def test_outputs_of_smooth_systems():
+    system = lp.PeriodicSystem.from_function(
+        lambda t: [[-1.0 + 0.5 * np.cos(t)]],
+        2 * np.pi,
+        f=lambda t: [np.sin(t)],
+        B=lambda t: [[1.0]],
+        C=lambda t: [[1.0], [np.cos(t)]],
+        D=lambda t: [[0.0], [np.sin(t)]],
+    )
+    assert system.outputs == ("y1", "y2")
+    middles = system.switching_times[:-1] + system.durations / 2
+    np.testing.assert_allclose(system.C[:, 1, 0], np.cos(middles), atol=system.durations.max() ** 2)
+    np.testing.assert_allclose(system.D[:, 1, 0], np.sin(middles), atol=system.durations.max() ** 2)
+    orbit = lp.steady_state(system)
+    times = np.linspace(0, 2 * np.pi, 20001)[:-1]
+    assert orbit.mean("y2") == pytest.approx(np.mean(np.cos(times) * orbit.at(times)[0]), rel=1e-3)
+    with pytest.raises(ValueError, match=r"C: at t = .* found shape \(1, 2\)"):
+        lp.PeriodicSystem.from_function(lambda t: [[-1.0]], 1.0, C=lambda t: [[1.0, 2.0]])
+    with pytest.raises(ValueError, match="C: found 1 and 2 rows"):
+        lp.PeriodicSystem.from_function(lambda t: [[-1.0]], 1.0, C=lambda t: [[1.0]] * (1 + (t > 0.5)))
