@@ -81,11 +81,13 @@ def reduced(factors: Array, forcing: Array) -> Reduced:
     """
     n = factors.shape[1]
     if len(factors) <= FEW_STEPS:
-        total, gained, growth = np.eye(n), np.zeros(forcing.shape[1:]), 0.0
+        total, gained = np.eye(n), np.zeros(forcing.shape[1:])
         for factor, more in zip(factors, forcing, strict=True):
             total, gained = factor @ total, factor @ gained + more
-            growth = max(growth, np.abs(total).max(initial=0.0))
-        if growth <= MODERATE:
+            # Before it overflows.
+            if not np.abs(total).max(initial=0.0) <= MODERATE:
+                break
+        else:
             return Reduced(first=-total, last=np.eye(n), rhs=gained, rounds=(), steps=(factors, forcing))
     return reduced_pairs(-factors, np.broadcast_to(np.eye(n), factors.shape), forcing)
 

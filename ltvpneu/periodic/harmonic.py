@@ -25,7 +25,7 @@ from ltvpneu.periodic.cyclic import reduced
 from ltvpneu.periodic.floquet import floquet
 from ltvpneu.periodic.gramians import balanced_matrices
 from ltvpneu.periodic.propagate import complex_exponentials
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
+from ltvpneu.periodic.system import GROWTH, PeriodicSystem, expect_system
 
 if TYPE_CHECKING:
     import control
@@ -119,11 +119,18 @@ def _whole_numbers(harmonics: Sequence[int] | int) -> list[int]:
 
 def _periodic_shape(system: PeriodicSystem, shifted: ComplexArray, B: FloatArray, s: complex) -> ComplexArray:
     """Return p at the start of each step, (n_steps, n, m)."""
-    pieces, (N, n, m) = system.fine_pieces, B.shape
+    N, n, m = B.shape
     augmented = np.zeros((N, n + m, n + m), dtype=np.complex128)
     augmented[:, :n, :n], augmented[:, :n, n:] = shifted, B
-    maps = complex_exponentials(augmented * (system.durations / pieces)[:, None, None])
-    maps = np.repeat(maps, pieces, axis=0)
+    pieces = np.ones(N, dtype=np.int64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        maps = complex_exponentials(augmented * system.durations[:, None, None])
+    # The shift by s may make a step grow that does not of itself.
+    growing = ~(np.abs(maps[:, :n, :n]).max(axis=(1, 2), initial=0.0) <= GROWTH)
+    if growing.any():
+        pieces = np.where(growing, system.fine_pieces, 1)
+        maps = complex_exponentials(augmented * (system.durations / pieces)[:, None, None])
+        maps = np.repeat(maps, pieces, axis=0)
     ends = np.cumsum(pieces) - 1
     maps[ends, :n] = system.scaled_jumps[:, :n, :n] @ maps[ends, :n]
     one = reduced(maps[:, :n, :n], maps[:, :n, n:])

@@ -132,3 +132,17 @@ def test_bad_frequencies_and_harmonics_are_named(s, harmonics, message):
     system = lp.PeriodicSystem.from_matrices([[[-1.0]]] * 2, [[0.0]] * 2, [0.25, 0.75], B=[[[1.0]]] * 2)
     with pytest.raises(ValueError, match=message):
         lp.harmonic_transfer(system, s, harmonics)
+
+
+@pytest.mark.parametrize("rate", [1e3, 1e6, 1e9, 1e12])
+def test_stiff_steps_cost_no_more_and_are_right(rate):
+    A = [[[-rate, 1.0], [0.3, -0.1]], [[-1.0, 0.2], [1.0, -0.7 * rate]]]
+    system = lp.PeriodicSystem.from_matrices(A, np.zeros((2, 2)), [0.5, 0.5], B=[[[1.0], [1.0]]] * 2)
+    orbit = lp.steady_state(system.with_levels([1.0]))
+    found = lp.harmonic_transfer(system, 0.0)[0, :, 0]
+    np.testing.assert_allclose(found, [orbit.mean("z1"), orbit.mean("z2")], rtol=1e-12)
+
+
+def test_a_shift_that_makes_steps_grow_warns_of_nothing():
+    system = lp.PeriodicSystem.from_matrices([[[1.0]], [[-2.0]]], np.zeros((2, 1)), [5.0, 5.0], B=[[[1.0]]] * 2)
+    assert np.isfinite(lp.harmonic_transfer(system, -80.0)).all()
