@@ -1,10 +1,11 @@
 """Design on the linear models; loads cvxpy."""
 
 from ltvpneu.design.air_use import air_use, with_air_use
-from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box
+from ltvpneu.design.certificate import Certificate, common_lyapunov
 from ltvpneu.design.duty_map import DutyMap, duty_map
 from ltvpneu.design.feedback import ClosedLoop, Measurement, duty_model, simulate_closed_loop
 from ltvpneu.design.forcing.forcing import ForcingProblem, ForcingSolution, forcing_problem
+from ltvpneu.design.operating_box import operating_box
 from ltvpneu.design.pattern.pattern import PatternSolution, optimize_pattern
 from ltvpneu.design.position_controller import PositionController
 from ltvpneu.design.stability_map import Box, StabilityMap, stability_map

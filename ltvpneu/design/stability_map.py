@@ -2,9 +2,9 @@
 
 Two regions are certified, by one function of a box of operating points. Where it proves decay for every step matrix of
 a point's LTV model, that model is stable at any duty, pattern and frequency of these steps. Where moreover the
-nonlinear machine's whole cycle stays in the box, the same holds of every linearization (8) along the cycle, at any
-instant.
-Dry friction is in neither: the paper's linearization leaves it out.
+nonlinear machine's whole cycle stays in the box, the same holds of every G (8b) along the cycle, at any instant. G is
+the paper's linearization, whose pressure rows are those at rest and which leaves dry friction out: of the machine's own
+motions the full tangent tells (`operating_box(..., tangent="full")`), and `orbit_floquet`.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import BoolArray, FloatArray, read_only
 from ltvpneu._values import Value
-from ltvpneu.design.certificate import Certificate, common_lyapunov, operating_box, verified_rate
+from ltvpneu.design.certificate import Certificate, common_lyapunov, verified_rate
+from ltvpneu.design.operating_box import operating_box, why_no_box
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.cycles.floquet import cycle_floquet
 from ltvpneu.models.cycles.orbit_map import MAP_SPREAD, grid_of
@@ -71,6 +72,8 @@ class StabilityMap(Value):
     stays_in_box: BoolArray
     """Whether the whole of that cycle stays in the box."""
     failures: tuple[FailedPoint, ...]
+    remark: str = ""
+    """Why there is no certificate, where a machine of this kind has no box."""
 
     def __repr__(self) -> str:
         n, found = self.spectral_radii.size, self.is_certified
@@ -110,7 +113,7 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
         [Hz]
     box : Box, optional
         Of operating points to certify; by default the widest one about the middle of those on the map, in proportion to
-        their spread, that has a common function.
+        their spread, that has a common function. A machine that has no such box gets none, and `.remark` says why.
     n_steps, operating_points
         As of `ltv_model`.
     progress : callable, optional
@@ -124,7 +127,7 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
     Raises
     ------
     ValueError
-        Duties or frequencies out of range, a box out of order.
+        Duties or frequencies out of range, a box out of order, or one for a machine that has none.
 
     Examples
     --------
@@ -159,9 +162,11 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
             failures.append(settled.failures[0])
         if progress is not None:
             progress(1)
-    if box is None:
+    remark = why_no_box(machine) if box is None else ""
+    certificate = None
+    if box is None and not remark:
         box, certificate = _widest_box(machine, [model.operating_points for model in models.values()])
-    else:
+    elif box is not None:
         certificate = common_lyapunov(operating_box(machine, position=box.position, pressures=box.pressures))
     stays = np.zeros(shape, dtype=np.bool_)
     if certificate is not None and certificate.is_stable and box is not None:
@@ -181,6 +186,7 @@ def stability_map(  # noqa: PLR0913 - keyword-only, each with its default
         depends_on_start=read_only(depends),
         stays_in_box=read_only(stays),
         failures=tuple(failures),
+        remark=remark,
         **{name: read_only(values) for name, values in arrays.items()},
     )
 

@@ -121,7 +121,7 @@ def draw_stability_map(found: StabilityMap) -> Figure:
     rate = "" if found.certificate is None else f", box: {found.certificate.decay_rate:.2g} 1/s"
     outlines: list[tuple[str, BoolArray, Any, Any]] = [
         (f"certified: the LTV model's steps under any switching{rate}", found.is_certified, "-", PALETTE[1]),
-        ("certified: all linearizations (8) along the cycle", found.is_certified & found.stays_in_box, "--", "0.1"),
+        ("certified: every G (8b) along the cycle", found.is_certified & found.stays_in_box, "--", "0.1"),
     ]
     for label, where, style, colour in outlines:
         if where.any():

@@ -155,7 +155,9 @@ def stability_text(found: StabilityMap) -> str:
     ]
     if found.box is None or found.certificate is None:
         lines.append(
-            "  No box of operating points has a common Lyapunov function, as where a step has no pressure that it "
+            f"  Nothing is certified. {found.remark}"
+            if found.remark
+            else "  No box of operating points has a common Lyapunov function, as where a step has no pressure that it "
             "settles at by itself: nothing is certified."
         )
     else:

@@ -116,7 +116,7 @@ def test_a_box_of_operating_points_is_certified_or_has_a_dwell_time():
         state = [random.uniform(0.04, 0.06), 0.0, random.uniform(1.5e5, 3.5e5)]
         A = lp.linearize(machine, state, areas=areas_at(machine, random.uniform(0, 2 * np.pi))).A
         assert verified_rate(A[None], P) >= found.decay_rate * (1 - 1e-6)
-    large = design.operating_box(machine, position=(0.02, 0.08), pressures=[(1.5e5, 3.5e5)])
+    large = design.operating_box(machine, position=(0.02, 0.08))
     assert design.common_lyapunov(large).kind == "dwell time"
 
 
@@ -135,6 +135,31 @@ def test_every_linearization_in_the_box_is_in_the_hull():
     assert len(box) == 2 ** np.count_nonzero(most > least)
 
 
+def test_the_hull_is_no_wider_than_the_grid_asks_for():
+    box = design.operating_box(lp.load_machine("kunt_singh_1990"), position=(0.02, 0.08))
+    # The true maximum, by samples, is -13.9 1/s.
+    assert -13.9 <= box[:, 2, 2].max() < -13.4
+
+
+def test_every_full_tangent_in_the_box_is_in_the_hull():
+    machine = lp.load_machine("kunt_singh_1990")
+    position, pressures, velocity = (0.04, 0.06), [(1.5e5, 3.5e5)], (-0.2, 0.3)
+    box = design.operating_box(machine, position=position, pressures=pressures, velocity=velocity, tangent="full")
+    least, most = box.min(axis=0), box.max(axis=0)
+    random = np.random.default_rng(1)
+    rates = []
+    for _ in range(200):
+        state = [random.uniform(*position), random.uniform(*velocity), random.uniform(*pressures[0])]
+        areas = areas_at(machine, random.uniform(0, 2 * np.pi))
+        A = lp.linearize(machine, state, areas=areas, tangent="full").A
+        rates.append(np.linalg.eigvals(A).real.max())
+        assert (least - 1e-12 * np.abs(A) <= A).all()
+        assert (most + 1e-12 * np.abs(A) >= A).all()
+    # Some are unstable, so no function is there to be found; the paper's G, at rest, has one.
+    assert max(rates) > 0
+    assert design.common_lyapunov(box).kind == "none"
+
+
 def test_bad_sets_and_boxes_are_named():
     machine = lp.load_machine("kunt_singh_1990")
     with pytest.raises(ValueError, match="systems: found shape"):
@@ -150,6 +175,14 @@ def test_bad_sets_and_boxes_are_named():
         design.operating_box(machine, position=(0.08, 0.02))
     with pytest.raises(ValueError, match="pressures: found 2 pairs, expected 1"):
         design.operating_box(machine, position=(0.02, 0.08), pressures=[(1e5, 2e5)] * 2)
+    with pytest.raises(ValueError, match="velocity: found none, expected a least and a greatest one"):
+        design.operating_box(machine, position=(0.02, 0.08), tangent="full")
+    with pytest.raises(ValueError, match="velocity: found a range, expected none"):
+        design.operating_box(machine, position=(0.02, 0.08), velocity=(0.0, 1.0))
+    with pytest.raises(ValueError, match="velocity: found 1 to 0 m/s"):
+        design.operating_box(machine, position=(0.02, 0.08), velocity=(1.0, 0.0), tangent="full")
+    with pytest.raises(ValueError, match="tangent: found 'half'"):
+        design.operating_box(machine, position=(0.02, 0.08), tangent="half")
     with pytest.raises(ValueError, match="pressure of an open source"):
         design.operating_box(machine, position=(0.02, 0.08), pressures=[(1e5, 4.1e5)])
 

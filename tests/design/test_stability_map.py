@@ -65,6 +65,15 @@ def test_where_no_box_has_a_function_nothing_is_certified(double_acting):
     assert lp.plot(found).axes
 
 
+def test_a_machine_without_a_box_says_why(table_1):
+    machine = table_1.with_thermal("adiabatic")
+    found = design.stability_map(machine, [0.5], [15.0])
+    assert found.certificate is None
+    assert "expected a box over position and one pressure a chamber" in found.remark
+    with pytest.raises(ValueError, match="expected a box over position"):
+        design.stability_map(machine, [0.5], [15.0], box=design.Box(position=(0.03, 0.06), pressures=((1e5, 2e5),)))
+
+
 def test_failures_are_kept_and_bad_input_named(table_1):
     found = design.stability_map(table_1, [0.855], [8.54])
     assert [failure.model for failure in found.failures] == ["nonlinear"]
