@@ -24,7 +24,7 @@ from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.method import DormandPrince, integration_settings
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.models.nonlinear.periods import integrate_period
-from ltvpneu.models.nonlinear.polynomial import trajectory_of
+from ltvpneu.models.nonlinear.polynomial import PolynomialTrajectory, trajectory_of
 from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic import bridge
@@ -115,11 +115,11 @@ class Measurement(Value):
     reference: float
     """Wanted mean position [m]."""
     mean_position: float
-    """Over the last period [m]; at first, the position."""
+    """Over the last period [m]; at first, over one that the machine's own duty makes from the initial state."""
     state: FloatArray
     """(n_states,), now."""
     duty: float = math.nan
-    """Share of the last period that the valve was open; nan at first, or where it is not known."""
+    """Share of the last period that the valve was open; at first, the machine's own; nan where it is not known."""
 
 
 Controller = Callable[[Measurement], float]
@@ -208,14 +208,26 @@ def simulate_closed_loop(
     settings = integration_settings(machine, SIMULATION_TOLERANCE)
     given = machine.rest_state if initial_state is None else initial_state
     state = finite_array("initial_state", given, (len(machine.states),)).copy()
-    n, mean = wanted.size, float(state[0])
+    n, before = wanted.size, valve.open_share(min(max(machine.duty, least), most), frequency)
+
+    def turn(start: FloatArray, duty: float, number: int) -> tuple[FloatArray, PolynomialTrajectory, FloatArray]:
+        """Return the state after a period, the period itself, and the instants of its switches."""
+        present = machine.with_duty(duty)
+        pieces = pieces_of(present.at(frequency).openings, period)
+        outcome = integrate_period(start, new_run(present.record, settings, pieces))
+        if outcome.status != OK:
+            raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
+        return outcome.state, trajectory_of(outcome.record), pieces["begin"]
+
+    # A controller that sees means has none yet: a position between the ends of its swing would mislead it.
+    mean = float(turn(state.copy(), before, 0)[1].means()[0])
     means, commands, duties = np.empty(n), np.empty(n), np.empty(n)
     times, states, n_held = [], [], 0
     for number in range(n):
         now = state.copy()
         measured = Measurement(
             number=number, time=number * period, reference=float(wanted[number]), mean_position=mean,
-            state=read_only(now), duty=float(duties[number - 1]) if number else math.nan,
+            state=read_only(now), duty=float(duties[number - 1]) if number else before,
         )  # fmt: skip
         commands[number] = finite(f"controller: at {number * period:g} s", float(cast(Controller, law)(measured)))
         late = number - valve.delay
@@ -223,17 +235,11 @@ def simulate_closed_loop(
         made = min(max(asked, least), most)
         n_held += made != asked
         duties[number] = valve.open_share(made, frequency)
-        present = machine.with_duty(float(duties[number]))
-        pieces = pieces_of(present.at(frequency).openings, period)
-        outcome = integrate_period(state, new_run(present.record, settings, pieces))
-        if outcome.status != OK:
-            raise_stopped(machine, outcome.status, number * period + outcome.time, outcome.state)
-        trajectory = trajectory_of(outcome.record)
+        state, trajectory, begins = turn(state, float(duties[number]), number)
         mean = means[number] = float(trajectory.means()[0])
-        local = np.union1d(np.linspace(0.0, period, POINTS_PER_PERIOD + 1), pieces["begin"])[:-1]
+        local = np.union1d(np.linspace(0.0, period, POINTS_PER_PERIOD + 1), begins)[:-1]
         times.append(number * period + local)
         states.append(trajectory.at(local).T)
-        state = outcome.state
     times.append(np.array([n * period]))
     states.append(state[None])
     values = np.concatenate(states).T

@@ -104,9 +104,26 @@ def test_a_state_space_controller_is_an_integrator_of_the_error(machine):
     period = 1 / FREQUENCY
     integrator = ct.ss([[1.0]], [[1.0]], [[2.0]], [[0.0]], period)
     done = design.simulate_closed_loop(machine.with_duty(0.4), integrator, [0.045] * 80, FREQUENCY)
-    errors = 0.045 - np.concatenate([[machine.rest_state[0]], done.mean_positions[:-1]])
+    # First seen is the mean over a period of the machine's own duty, not the position that it starts at.
+    before = design.simulate_closed_loop(machine.with_duty(0.4), lambda _: 0.4, [0.045], FREQUENCY).mean_positions[0]
+    errors = 0.045 - np.concatenate([[before], done.mean_positions[:-1]])
     np.testing.assert_allclose(done.commands, 0.4 + 2.0 * np.concatenate([[0.0], np.cumsum(errors)[:-1]]), atol=1e-12)
     assert abs(done.mean_positions[-1] - 0.045) < 1e-3
+
+
+def test_the_first_measurement_on_a_cycle_is_that_of_the_cycle(machine):
+    orbit = lp.nonlinear_orbit(machine.with_duty(0.45), FREQUENCY)
+    seen = []
+    design.simulate_closed_loop(
+        machine.with_duty(0.45),
+        lambda measured: seen.append(measured) or 0.45,
+        [0.045] * 2,
+        FREQUENCY,
+        initial_state=orbit.initial_state,
+    )
+    for measured in seen:
+        assert measured.mean_position == pytest.approx(orbit.mean("position"), abs=1e-6)
+        assert measured.duty == pytest.approx(0.45)
 
 
 def test_the_open_loop_is_the_simulation(machine):
