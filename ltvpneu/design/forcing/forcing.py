@@ -37,7 +37,8 @@ class ForcingSolution(Value):
     inputs: dict[str, FloatArray]
     """Value of every input, shape (), or (n_steps,) where it has one a step."""
     duals: dict[str, Any]
-    """Of the constraints, by name."""
+    """Of the constraints, by name: how fast the objective gets better as an inequality's bound is loosened, never below
+    zero, or as the right side of an equation rises."""
     system: PeriodicSystem | None
     """With these inputs; `steady_state` of it is the orbit."""
     residual: float

@@ -55,7 +55,7 @@ class PatternSolution(Value):
     n_rounds: int
     """How often the operating points were fitted to the pattern's cycle."""
     settled: bool
-    """Whether `linear_pattern` is best for operating points of its own cycle."""
+    """Whether `linear_pattern` is best for operating points of its own cycle; never without `refit`."""
     system: PeriodicSystem | None
     """The linear model of the pattern, one step a slot."""
     machine: Machine | None
@@ -233,8 +233,8 @@ def _on_the_linear_model(machine: Machine, frequency: float, ask: Asked, refit: 
         linearization = linearize_steps(machine, point, areas, "paper")
         solved = solved_pattern(ask, slots_of(machine, linearization, point, areas, 1 / (frequency * ask.n_slots)))
         text = "".join(map(str, solved.pattern.astype(int)))
-        settled = solved.status == "optimal" and (text == before or not refit)
-        if solved.status != "optimal" or settled or text in seen or rounds == MOST_ROUNDS:
+        settled = solved.status == "optimal" and text == before
+        if solved.status != "optimal" or not refit or text in seen or rounds == MOST_ROUNDS:
             return _Linear(machine, frequency, areas, point, solved, rounds, settled)
         seen.add(text)
         before = text

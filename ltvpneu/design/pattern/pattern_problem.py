@@ -11,9 +11,13 @@ it.
 """
 
 import math
+import os
+import sys
+from functools import cache
 from typing import Any, Literal, NamedTuple, cast
 
 import cvxpy as cp
+import highspy
 import numpy as np
 from cvxpy.error import SolverError as CvxpySolverError
 
@@ -196,7 +200,29 @@ def _long_enough(on: cp.Variable, before: Any, shortest: tuple[int, int]) -> lis
     return found
 
 
+@cache
+def _quiet_highs() -> None:
+    """Let HiGHS print what it does when it is first used in a process, whatever its options, to nowhere.
+
+    Its text goes straight to the process's output, past Python's.
+    """
+    sys.stdout.flush()
+    try:
+        kept = os.dup(1)
+    except OSError:
+        # No output at all, as in a program with windows only.
+        return
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        try:
+            highspy.Highs()
+        finally:
+            os.dup2(kept, 1)
+            os.close(kept)
+
+
 def _run(problem: cp.Problem) -> str:
+    _quiet_highs()
     try:
         problem.solve(solver=cp.HIGHS, mip_rel_gap=RELATIVE_GAP, output_flag=False)
     except CvxpySolverError as error:

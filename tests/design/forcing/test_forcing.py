@@ -224,3 +224,25 @@ def test_the_linear_models_take_the_same_air(machine, mode, n_steps, tolerance):
         model = lp.ltv_model(machine, frequency, n_steps=n_steps, operating_points=mode)
         linear = lp.steady_state(design.with_air_use(model)).mean("air_use")
         assert linear == pytest.approx(design.air_use(machine, lp.nonlinear_orbit(machine, frequency)), rel=tolerance)
+
+
+@pytest.mark.parametrize("sense", [cp.Minimize, cp.Maximize])
+def test_duals_say_how_fast_the_objective_gets_better(sense):
+    system = random_system(3)
+    better = -1 if sense is cp.Minimize else 1
+
+    def solved(right: float, bound: float) -> design.ForcingSolution:
+        problem = design.forcing_problem(system)
+        u1, u2 = problem.inputs["u1"], problem.inputs["u2"]
+        cost = cp.square(u1) + cp.square(u2 - 3)
+        constraints = {"equation": problem.mean("z1") == right, "inequality": u2 <= bound}
+        return problem.solve(sense(cost if sense is cp.Minimize else -cost), constraints)
+
+    found, step = solved(0.2, 1.0), 1e-3
+    for name, ahead, behind in (
+        ("equation", solved(0.2 + step, 1.0), solved(0.2 - step, 1.0)),
+        ("inequality", solved(0.2, 1.0 + step), solved(0.2, 1.0 - step)),
+    ):
+        gain = better * (ahead.value - behind.value) / (2 * step)
+        assert float(found.duals[name]) == pytest.approx(gain, rel=1e-4, abs=1e-6)
+    assert float(found.duals["inequality"]) > 0
