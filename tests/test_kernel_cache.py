@@ -150,6 +150,10 @@ def test_kernels_are_kept_where_the_package_cannot_be_written_to(laws, tmp_path,
         assert out == expected
         assert "Warning" not in complaints
     assert len(list(folder.rglob("*.nbc"))) == 4
+    # A law that is edited is in force at once, wherever the kernels lie, and whatever the clock says.
+    edit(laws / "inner.py", "FACTOR * x", "FACTOR * x * x")
+    os.utime(laws / "inner.py", (0, 0))
+    assert ask(laws, **{place: str(folder)})[0].startswith("19.0 ")
 
 
 def test_with_no_place_to_keep_kernels_one_warning_says_what_to_do(laws, tmp_path):

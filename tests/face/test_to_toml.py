@@ -2,6 +2,7 @@
 
 import math
 import tomllib
+from collections import ChainMap
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,7 +34,7 @@ MORE = {
     ),
     "odd name": replace(drive(), name='A "lift" – 3 kg \\ °C'),
 }
-ALL = {**BUNDLED, **{f"machine: {k}": v for k, v in MACHINES.items()}, **EXTENSIONS, **MORE}
+ALL = ChainMap(BUNDLED, MACHINES, EXTENSIONS, MORE)
 
 
 @pytest.mark.parametrize("name", ALL)

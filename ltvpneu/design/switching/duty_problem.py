@@ -134,7 +134,7 @@ class DutyProblem:
         constraints: Constraints = (),
         *,
         model: ModelKind = "fitted",
-        steps_per_position: int = 1,
+        steps_per_piece: int = 1,
         start: Mapping[str, float] | None = None,
         n_starts: int | None = None,
         tolerance: float = 1e-6,
@@ -151,8 +151,8 @@ class DutyProblem:
             Comparisons <=, >= and ==; duals come back under the dict's names.
         model : {"fitted", "self-consistent", "nonlinear"}
             What the figures are those of.
-        steps_per_position : int
-            Steps of a linear model in each position of the valve.
+        steps_per_piece : int
+            Steps of a linear model in each piece of the turn through which all openings are constant or linear.
         start : mapping of str to float, optional
             Where to start; by default from the best few of `n_starts` settings.
         n_starts : int, optional
@@ -176,7 +176,7 @@ class DutyProblem:
         LtvpneuError
             No setting looked at has a cycle: the last one's reason.
         """
-        search = self.search(objective, constraints, model, steps_per_position)
+        search = self.search(objective, constraints, model, steps_per_piece)
         if globally:
             found, lower = search_globally(search, tolerance, max_iterations, progress)
         else:
@@ -189,7 +189,7 @@ class DutyProblem:
         return self._solution(found, search.subproblem, lower, ranges_of(search.noted))
 
     def search(
-        self, objective: cp.Minimize | cp.Maximize, constraints: Constraints, model: ModelKind, steps_per_position: int
+        self, objective: cp.Minimize | cp.Maximize, constraints: Constraints, model: ModelKind, steps_per_piece: int
     ) -> Search:
         """Return the convex problem of a step, and where its figures come from; what `solve` searches with."""
         asked: Any = objective
@@ -203,7 +203,7 @@ class DutyProblem:
             constraints=named_constraints(constraints),
             limits=self.limits,
         )
-        cycles = self._cycles(model, steps_per_position)
+        cycles = self._cycles(model, steps_per_piece)
         return Search(subproblem=Subproblem(task), evaluate=lambda setting: self._evaluate(cycles, setting))
 
     @property
@@ -218,10 +218,10 @@ class DutyProblem:
             for share, (name, (low, high)) in zip(setting, self.bounds.items(), strict=True)
         }
 
-    def _cycles(self, model: ModelKind, steps_per_position: int) -> dict[str, Cycles]:
+    def _cycles(self, model: ModelKind, steps_per_piece: int) -> dict[str, Cycles]:
         if model not in ("fitted", "self-consistent", "nonlinear"):
             raise ValueError(f'model: found {model!r}, expected "fitted", "self-consistent" or "nonlinear"')
-        whole("steps_per_position", steps_per_position)
+        whole("steps_per_piece", steps_per_piece)
         found: dict[str, Cycles] = {}
         for name in self.scenarios:
             change = partial(self._changed, name) if name in self._changes else None
@@ -229,7 +229,7 @@ class DutyProblem:
                 found[name] = NonlinearCycles(self.machine, self.frequency, change)
             else:
                 mode: OwnCycle = model
-                found[name] = LinearCycles(self.machine, self.frequency, mode, steps_per_position, change=change)
+                found[name] = LinearCycles(self.machine, self.frequency, mode, steps_per_piece, change=change)
         return found
 
     def _evaluate(self, cycles: Mapping[str, Cycles], setting: FloatArray) -> list[BlockFigures]:

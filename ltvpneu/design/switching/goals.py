@@ -64,7 +64,7 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     scenarios: Mapping[str, Scenario] | None = None,
     valve: ValveLimits | None = None,
     model: ModelKind = "fitted",
-    steps_per_position: int = 1,
+    steps_per_piece: int = 1,
     globally: bool = False,
     correct: bool = False,
     progress: Progress | None = None,
@@ -90,7 +90,7 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
         The two most usual goals, as of `Goals`.
     scenarios, valve
         As of `duty_problem`.
-    model, steps_per_position, globally, progress
+    model, steps_per_piece, globally, progress
         As of `DutyProblem.solve`.
     correct : bool
         Go on from the linear model's optimum on the nonlinear machine; the result is in `.corrected`, or why there is
@@ -138,7 +138,7 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
         objective,
         constraints,
         model=model,
-        steps_per_position=steps_per_position,
+        steps_per_piece=steps_per_piece,
         globally=globally,
         progress=progress,
     )

@@ -31,7 +31,7 @@ class LinearCycles:
     frequency : float
         Where it is no parameter [Hz].
     mode : {"fitted", "self-consistent"}
-    steps_per_position : int
+    steps_per_piece : int
         Steps into which each piece of the openings is divided evenly, so that steps move with the edges.
     distance : float
         As `least_distance` of `ltv_model`.
@@ -44,13 +44,13 @@ class LinearCycles:
         machine: Machine,
         frequency: float,
         mode: OwnCycle = "fitted",
-        steps_per_position: int = 1,
+        steps_per_piece: int = 1,
         distance: float = LEAST_DISTANCE,
         change: Callable[[Machine], Machine] | None = None,
     ) -> None:
         self.machine, self.frequency, self.distance, self._change = machine.at(frequency), frequency, distance, change
         self.mode: OwnCycle = mode
-        self.steps_per_position = steps_per_position
+        self.steps_per_piece = steps_per_piece
         self._start: FloatArray | None = None
         self._edge_slopes: dict[str, tuple[FloatArray, FloatArray]] = {}
 
@@ -67,7 +67,7 @@ class LinearCycles:
 
     def cells_of(self, machine: Machine) -> FloatArray:
         """Return the cells of a machine's turn, as shares of it, (n_cells + 1,)."""
-        return divided(machine.openings.fractions, self.steps_per_position)
+        return divided(machine.openings.fractions, self.steps_per_piece)
 
     def cycle(self, values: Mapping[str, float]) -> LinearCycle:
         """Return the cycle at a setting of the parameters.
@@ -158,7 +158,7 @@ class LinearCycles:
         for step in (STEP, -STEP):
             moved = self.machine_at({**cycle.settings, name: value + step}).openings
             if _same_pieces(moved.areas, table.areas):
-                slopes = divided(moved.fractions - table.fractions, self.steps_per_position) / step
+                slopes = divided(moved.fractions - table.fractions, self.steps_per_piece) / step
                 self._edge_slopes[name] = table.areas, slopes
                 return slopes
         raise _order_changes({name: value})
