@@ -1,9 +1,7 @@
 """What the sub-commands do; loaded once the command line has been read."""
 
 import argparse
-import json
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tqdm import tqdm
@@ -12,6 +10,7 @@ from ltvpneu.errors import NotConvergedError
 from ltvpneu.face.machine_file import load_machine
 from ltvpneu.face.optimize import optimum_text, parse_request, run_request, write_optimum
 from ltvpneu.face.report import LABELS, depends, multipliers_text, remarks, study_text
+from ltvpneu.face.results import Results
 from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
 from ltvpneu.face.study_data import study_data
 from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
@@ -44,8 +43,9 @@ def optimize(options: argparse.Namespace) -> int:
     found = run_request(machine, parse_request(machine, options), model=options.model, globally=options.globally)
     print(f"{machine.name}\n{optimum_text(found)}")
     if options.out is not None:
-        _make(options.out)
-        print("\nwritten:", *(f"  {path}" for path in write_optimum(found, options.out)), sep="\n")
+        results = Results(options.out)
+        write_optimum(found, results)
+        print(f"\n{results.listed()}")
     return 0 if found.status == "optimal" else 1
 
 
@@ -63,7 +63,7 @@ def study(options: argparse.Namespace) -> int:
     if options.points < 1:
         raise ValueError(f"--points: found {options.points}, expected 1 or more")
     frequencies = frequency_grid(options.frequency, options.points)
-    _make(options.out)
+    results = Results(options.out)
     # A lazy door: cvxpy takes a second to load, and not every command needs it.
     from ltvpneu.face.study_design import design_text, n_design_parts, run_design
     from ltvpneu.face.warm import beside
@@ -88,55 +88,55 @@ def study(options: argparse.Namespace) -> int:
         )
         # The first tables need not wait for the last.
         bar.write(study_text(found))
-        if switches and any(case.orbits for case in found.cases):
-            designed = run_design(machine, options.frequency, bar.update)
-        else:
-            designed = None
-    if not any(case.orbits for case in found.cases):
+        has_orbits = any(case.orbits for case in found.cases)
+        if has_orbits:
+            # Kept, should what follows be stopped.
+            write_study(found, results)
+        designed = run_design(machine, options.frequency, bar.update) if switches and has_orbits else None
+    if not has_orbits:
         raise ValueError("no model gave an orbit at any frequency; the reasons stand in the tables above")
     if designed is None:
         print("The valve is proportional and has no duty cycle to map or to design; in Python, duty_problem takes its")
         print("command's points, pressures and frequency as variables.\n")
     else:
         print(design_text(designed))
-    written = write_study(found, designed, options.out)
-    print("written:", *(f"  {path}" for path in written), sep="\n")
+        write_design(found, designed, results)
+    print(results.listed())
     return 0
 
 
-def write_study(study: Study, designed: "DesignStudy | None", folder: Path) -> list[Path]:
-    """Write the pictures and the JSON of a study; return their paths."""
+def write_study(study: Study, results: Results) -> None:
+    """Write the numbers of a study and its pictures."""
     # A lazy door: matplotlib takes longer to load than the study to run.
     from ltvpneu.face import pictures
-    from ltvpneu.face.study_design import design_data
 
     machine = study.machine
+    results.data("study", study_data(study))
     models = [case.models["ltv"] for case in study.cases if "ltv" in case.models]
-    figures = {"valve_areas": pictures.draw(models[0] if models else machine.at(study.cases[0].frequency))}
+    results.picture("valve_areas", pictures.draw(models[0] if models else machine.at(study.cases[0].frequency)))
     for case in study.cases:
         if case.orbits:
             label = f"{case.frequency:g}_Hz".replace(".", "p")
             title = f"{machine.name}: cycle at {case.frequency:g} Hz, duty {machine.duty:.3g}"
             orbits = {LABELS[name]: orbit for name, orbit in case.orbits.items()}
-            figures[f"cycle_{label}"] = pictures.draw_cycles(orbits, title)
+            results.picture(f"cycle_{label}", pictures.draw_cycles(orbits, title))
     free = study.frictionless_amplitudes if study.frictionless else None
-    figures["amplitude"] = pictures.draw_amplitudes(study.response, free)
+    results.picture("amplitude", pictures.draw_amplitudes(study.response, free))
     found = {f"{case.frequency:g} Hz": case.floquets["ltv"] for case in study.cases if "ltv" in case.floquets}
     if found:
-        figures["multipliers"] = pictures.draw(found)
-    if designed is not None:
-        figures["duty_map"] = pictures.draw(designed.duties)
-        figures["stability_map"] = pictures.draw(designed.stability)
-    if designed is not None and designed.optimum is not None:
-        figures["optimum"] = pictures.draw(designed.optimum)
-    written: list[Path] = []
-    for name, figure in figures.items():
-        written.append(folder / f"{name}.png")
-        figure.savefig(written[-1], dpi=150)
-    written.append(folder / "study.json")
-    data = study_data(study) | ({} if designed is None else {"design": design_data(designed)})
-    written[-1].write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    return written
+        results.picture("multipliers", pictures.draw(found))
+
+
+def write_design(study: Study, designed: "DesignStudy", results: Results) -> None:
+    """Write the numbers of a study again, with those of the design beside them, and the design's pictures."""
+    from ltvpneu.face import pictures
+    from ltvpneu.face.study_design import design_data
+
+    results.data("study", study_data(study) | {"design": design_data(designed)})
+    results.picture("duty_map", pictures.draw(designed.duties))
+    results.picture("stability_map", pictures.draw(designed.stability))
+    if designed.optimum is not None:
+        results.picture("optimum", pictures.draw(designed.optimum))
 
 
 def stability(options: argparse.Namespace) -> int:
@@ -180,23 +180,16 @@ def _stability_row(
     return [*place, multipliers_text(found), *figures, ", ".join(said)], found.is_stable
 
 
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"--out: found {str(folder)!r}, expected a folder that can be made ({error})") from None
-
-
 def sweep(options: argparse.Namespace) -> int:
     """Map duty and frequency."""
     machine = load_machine(options.machine)
     duties = grid("duty", options.duty, options.points, 1.0)
     frequencies = grid("frequency", options.frequency, options.points, LARGEST)
-    _make(options.out)
+    results = Results(options.out)
     found = run_sweep(machine, duties, frequencies, options.n_steps, options.operating_points)
     print(f"{machine.name}: {options.points} x {options.points} points\n\n{sweep_text(found)}")
-    written = write_sweep(found, options.out)
-    print("written:", *(f"  {path}" for path in written), sep="\n")
+    write_sweep(found, results)
+    print(results.listed())
     return 0
 
 

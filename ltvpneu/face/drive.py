@@ -1,9 +1,9 @@
 """What `ltvpneu drive` prints and draws: a drive on one screen."""
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ltvpneu.face.results import Results
 from ltvpneu.face.tables import heading, table
 from ltvpneu.models.cycles.data_sheet import AirUse, DataSheet, Switching
 from ltvpneu.models.machine.machine import Machine
@@ -11,7 +11,7 @@ from ltvpneu.models.nonlinear.stroke import Stroke
 from ltvpneu.physics.iso6358 import ANR_DENSITY
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 
 def drive_text(sheet: DataSheet) -> str:
@@ -125,15 +125,13 @@ def _balance(found: Switching) -> str:
     return f"at mid-stroke with duty {found.balance_duty:.3f}, the valve open for {share:.3f} of the period"
 
 
-def write_drive(sheet: DataSheet, folder: Path) -> list[Path]:
-    """Write the pictures; return their paths."""
+def write_drive(sheet: DataSheet, results: Results) -> None:
+    """Write the pictures."""
     # A lazy door: matplotlib takes longer to load than the strokes to run.
     from ltvpneu.face.drive_pictures import draw_strokes, draw_switching, draw_work
 
-    figures: dict[str, Figure] = {"strokes": draw_strokes(sheet)}
-    figures |= {"work": draw_work(sheet)} if sheet.switching is None else {"duty": draw_switching(sheet.switching)}
-    written: list[Path] = []
-    for name, figure in figures.items():
-        written.append(folder / f"{name}.png")
-        figure.savefig(written[-1], dpi=120)
-    return written
+    results.picture("strokes", draw_strokes(sheet), dpi=120)
+    if sheet.switching is None:
+        results.picture("work", draw_work(sheet), dpi=120)
+    else:
+        results.picture("duty", draw_switching(sheet.switching), dpi=120)

@@ -2,12 +2,13 @@
 
 import argparse
 import csv
+import io
 import json
-from pathlib import Path
 
 import numpy as np
 
 from ltvpneu.face.machine_text import bundled_machines, bundled_valves, machine_text, parsed
+from ltvpneu.face.results import Results
 from ltvpneu.face.tables import heading, table
 
 
@@ -27,8 +28,9 @@ def drive(options: argparse.Namespace) -> int:
         sheet = data_sheet(machine, options.frequency, price=price, life=options.life, progress=bar.update)
     print(sheet.to_json() if options.json else drive_text(sheet), end="\n" if options.json else "")
     if not options.json:
-        _make(options.out)
-        print("\nwritten:", *(f"  {path}" for path in write_drive(sheet, options.out)), sep="\n")
+        results = Results(options.out)
+        write_drive(sheet, results)
+        print(f"\n{results.listed()}")
     return 0
 
 
@@ -58,30 +60,27 @@ def simulate(options: argparse.Namespace) -> int:
         found = {name: values.tolist() for name, values in zip(machine.states, states, strict=True)}
         print(json.dumps({"machine": machine.name, "time": times.tolist(), **found}))
         return 0
-    _make(options.out)
-    paths = _write_transient(machine.name, machine.states, times, states, options.out)
+    results = Results(options.out)
+    results.text("simulate.csv", _transient_text(machine.states, times, states))
     from ltvpneu.face.drive_pictures import draw_transient
 
-    paths.append(options.out / "simulate.png")
     title = f"{machine.name}: duty {machine.duty:.3g} at {frequency:.4g} Hz, from {options.start}"
     cylinder = machine.cylinder
     stops = None if cylinder.is_absent else (cylinder.lower_stop, cylinder.upper_stop)
-    draw_transient(title, machine.states, times, states, stops).savefig(paths[-1], dpi=150)
+    results.picture("simulate", draw_transient(title, machine.states, times, states, stops))
     last = ", ".join(f"{name} {value:.6g}" for name, value in zip(machine.states, states[:, -1], strict=True))
-    print(f"{title}\nat {times[-1]:.6g} s, in SI units: {last}\n\nwritten:", *(f"  {path}" for path in paths), sep="\n")
+    print(f"{title}\nat {times[-1]:.6g} s, in SI units: {last}\n\n{results.listed()}")
     return 0
 
 
-def _write_transient(
-    name: str, states: tuple[str, ...], times: np.ndarray, values: np.ndarray, folder: Path
-) -> list[Path]:
-    path = folder / "simulate.csv"
+def _transient_text(states: tuple[str, ...], times: np.ndarray, values: np.ndarray) -> str:
+    """Return the table of a transient, as CSV."""
     units = {"position": "m", "velocity": "m/s", "pressure": "Pa", "temperature": "K"}
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["time [s]", *(f"{state} [{units[state.partition('_')[0]]}]" for state in states)])
-        writer.writerows(np.column_stack([times, values.T]).tolist())
-    return [path]
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(["time [s]", *(f"{state} [{units[state.partition('_')[0]]}]" for state in states)])
+    writer.writerows(np.column_stack([times, values.T]).tolist())
+    return text.getvalue()
 
 
 def new(options: argparse.Namespace) -> int:
@@ -171,10 +170,3 @@ def keys(options: argparse.Namespace) -> int:
 
     print(keys_page(), end="")
     return 0
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"--out: found {str(folder)!r}, expected a folder that can be made ({error})") from None

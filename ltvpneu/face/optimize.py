@@ -1,9 +1,7 @@
 """`ltvpneu optimize`: goals from the command line, the design, its tables, JSON and pictures."""
 
-import json
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -11,6 +9,7 @@ from tqdm import tqdm
 
 from ltvpneu.face.machine_text import nearest
 from ltvpneu.face.report import depends, shown
+from ltvpneu.face.results import Results
 from ltvpneu.face.study_data import attractors_data
 from ltvpneu.face.tables import heading, table
 from ltvpneu.face.units import Dimension, example_of, parse, units_of
@@ -291,16 +290,14 @@ def optimum_data(found: "DutySolution") -> dict[str, Any]:
     return data(found) | {"corrected": data(found.corrected) if found.corrected is not None else None}
 
 
-def write_optimum(found: "DutySolution", folder: Path) -> list[Path]:
-    """Write JSON, the picture of the cycles and the machine at the optimum; return their paths."""
+def write_optimum(found: "DutySolution", results: Results) -> None:
+    """Write JSON, the machine at the optimum and the picture of the cycles."""
     # A lazy door, as of the study.
     from ltvpneu.face import pictures
 
-    paths = [folder / "optimum.json", folder / "optimum.png", folder / "optimum.toml"]
-    paths[0].write_text(json.dumps(optimum_data(found), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    pictures.draw(found).savefig(paths[1], dpi=150)
-    paths[2].write_text((found.corrected or found).machine.to_toml(), encoding="utf-8")
-    return paths
+    results.data("optimum", optimum_data(found))
+    results.text("optimum.toml", (found.corrected or found).machine.to_toml())
+    results.picture("optimum", pictures.draw(found))
 
 
 def setting_shown(name: str, value: float) -> str:

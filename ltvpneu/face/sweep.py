@@ -1,9 +1,7 @@
 """`ltvpneu sweep`: maps over duty and frequency of what the machine settles on and how far off a linear model is."""
 
-import json
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -11,6 +9,7 @@ from tqdm import tqdm
 
 from ltvpneu._values import Value
 from ltvpneu.face.report import grouped_failures
+from ltvpneu.face.results import Results
 from ltvpneu.face.study_data import failure_data, plain
 from ltvpneu.face.tables import table
 from ltvpneu.models.cycles.orbit_map import KINDS, Branch, OrbitMap, orbit_map
@@ -129,15 +128,11 @@ def sweep_data(sweep: Sweep) -> dict[str, Any]:
     )
 
 
-def write_sweep(sweep: Sweep, folder: Path) -> list[Path]:
-    """Write both pictures and the JSON; return their paths."""
+def write_sweep(sweep: Sweep, results: Results) -> None:
+    """Write the JSON and both pictures."""
     # A lazy door, as for the study.
     from ltvpneu.face import pictures
 
-    written: list[Path] = []
+    results.data("sweep", sweep_data(sweep))
     for name, found in (("orbit_map", sweep.orbits), ("validity_map", sweep.validity)):
-        written.append(folder / f"{name}.png")
-        pictures.draw(found).savefig(written[-1], dpi=150)
-    written.append(folder / "sweep.json")
-    written[-1].write_text(json.dumps(sweep_data(sweep), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    return written
+        results.picture(name, pictures.draw(found))
