@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from ltvpneu.face.results import Results
 from ltvpneu.face.tables import heading, table
+from ltvpneu.face.units import pressure_shown
 from ltvpneu.models.cycles.data_sheet import AirUse, DataSheet, Switching
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.stroke import Stroke
@@ -37,7 +38,8 @@ def sketch(machine: Machine) -> str:
     lies = "lies flat" if up == 0 else f"its way out rises by {up:.4g} deg"
     rods = cylinder.rod_areas
     left, right = ("====" if rods[0] > 0 else "    "), ("========" if rods[1] > 0 else "        ")
-    supply, exhaust = machine.supply_pressure / 1e5, machine.exhaust_pressure / 1e5
+    around = machine.ambient_pressure
+    supply, exhaust = (pressure_shown(p, around) for p in (machine.supply_pressure, machine.exhaust_pressure))
     zero = "at the lower stop" if low == 0 else "between the stops"
     return f"""{machine.name}
 
@@ -47,7 +49,8 @@ def sketch(machine: Machine) -> str:
           p1, A1            p2, A2
 
   areas {1e4 * cylinder.piston_area_1:.4g} and {1e4 * cylinder.piston_area_2:.4g} cm²; moving mass \
-{machine.load.mass:.4g} kg; supply {supply:.4g}, exhaust {exhaust:.4g} bar abs"""
+{machine.load.mass:.4g} kg
+  supply {supply}, exhaust {exhaust}"""
 
 
 def strokes_table(sheet: DataSheet) -> str:

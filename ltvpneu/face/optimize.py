@@ -12,7 +12,7 @@ from ltvpneu.face.report import depends, shown
 from ltvpneu.face.results import Results
 from ltvpneu.face.study_data import attractors_data
 from ltvpneu.face.tables import heading, table
-from ltvpneu.face.units import Dimension, example_of, parse, units_of
+from ltvpneu.face.units import Dimension, example_of, parse, pressure_shown, units_of
 from ltvpneu.models.cycles.orbit_map import MAP_SPREAD, orbit_map
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import attractors
@@ -171,7 +171,10 @@ def optimum_text(found: "DutySolution") -> str:
         parts.append(unheld)
     if found.n_failed:
         parts.append(f"{found.n_failed} settings on the way had no cycle, or stiction held the piston there")
-    rows = [[name, *(setting_shown(name, one.values[name]) for _, one in columns)] for name in found.values]
+    rows = [
+        [name, *(setting_shown(name, one.values[name], one.machine.ambient_pressure) for _, one in columns)]
+        for name in found.values
+    ]
     for number in range(len(found.commands)):
         for row, what in enumerate(("on", "off")):
             times = [f"{1e3 * one.commands[number][row]:.3f} ms" for _, one in columns]
@@ -300,13 +303,13 @@ def write_optimum(found: "DutySolution", results: Results) -> None:
     results.picture("optimum", pictures.draw(found))
 
 
-def setting_shown(name: str, value: float) -> str:
-    """Return a setting with a unit that people use."""
+def setting_shown(name: str, value: float, ambient: float) -> str:
+    """Return a setting with a unit that people use; pressures over the ambient one [Pa] too."""
     dimension = _dimension(name)
     if name == "frequency":
         return f"{value:.5g} Hz"
     if dimension == "pressure":
-        return f"{value / 1e5:.4f} bar"
+        return pressure_shown(value, ambient)
     if dimension == "angle":
         return f"{np.degrees(value):.3f} deg"
     return f"{value:.6g}"

@@ -8,6 +8,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray
 from ltvpneu.face.study import Case, Study
 from ltvpneu.face.tables import heading, table
+from ltvpneu.face.units import pressure_shown
 from ltvpneu.models.linear.error_estimate import ErrorEstimate
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import Attractors, describe
@@ -49,13 +50,11 @@ def machine_table(machine: Machine) -> str:
     cylinder, load = machine.cylinder, machine.load
     chambers = ", ".join(name.replace("_", " ") for name in cylinder.chambers)
     rows = [
-        [
-            "supply / exhaust pressure",
-            f"{machine.supply_pressure / 1e5:.4g} / {machine.exhaust_pressure / 1e5:.4g} bar abs",
-        ],
+        ["supply pressure", pressure_shown(machine.supply_pressure, machine.ambient_pressure)],
+        ["exhaust pressure", pressure_shown(machine.exhaust_pressure, machine.ambient_pressure)],
         [
             "ambient pressure",
-            f"{machine.ambient_pressure / 1e5:.4g} bar abs, pushes with {ambient_force(machine):.4g} N",
+            f"{machine.ambient_pressure / 1e5:.4g} bar(a), pushes with {ambient_force(machine):.4g} N",
         ],
         ["duty cycle", f"{machine.duty:.4g}"],
         ["chambers", f"{chambers} ({'single' if len(cylinder.chambers) == 1 else 'double'}-acting)"],

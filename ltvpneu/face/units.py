@@ -64,6 +64,17 @@ _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*(?:[^\d\s,]|$)")
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*(.*?)\s*$")
 
 
+def pressure_shown(pressure: float, ambient: float) -> str:
+    """Return a pressure as people speak of it, absolute and over the ambient one [Pa].
+
+    >>> pressure_shown(7.01325e5, 1.01325e5)
+    '7.013 bar(a) = 6 bar(g)'
+    """
+    # Rounding leaves no pressure just beside the ambient one.
+    gauge = round((pressure - ambient) / 1e5, 4) + 0.0
+    return f"{pressure / 1e5:.4g} bar(a) = {gauge:.4g} bar(g)"
+
+
 def parse(value: object, dimension: Dimension, ambient: float = ATMOSPHERE) -> float:
     """Return a quantity of a machine file in SI units.
 
