@@ -9,8 +9,8 @@ from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import step_means
 from ltvpneu.models.machine.supply_flow import source_flow, supply_flow_tangents
-from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.orbits.orbit import Orbit
+from ltvpneu.periodic.systems.system import PeriodicSystem
 
 AIR_USE = "air_use"
 """Name of the output: mass flow out of the supply [kg/s]."""

@@ -39,8 +39,8 @@ from scipy.linalg import eigh
 from ltvpneu._arrays import FloatArray, finite_array, read_only
 from ltvpneu._values import Value
 from ltvpneu.models.linear.model import LtvModel
-from ltvpneu.periodic.propagate import balancing_scales, exponentials
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.algebra.propagate import balancing_scales, exponentials
+from ltvpneu.periodic.systems.system import PeriodicSystem
 
 Systems = PeriodicSystem | LtvModel | Sequence[PeriodicSystem | LtvModel] | ArrayLike
 

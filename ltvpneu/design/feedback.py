@@ -27,7 +27,7 @@ from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.polynomial import PolynomialTrajectory, trajectory_of
 from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.stopped import raise_stopped
-from ltvpneu.periodic import bridge
+from ltvpneu.periodic.systems import bridge
 
 if TYPE_CHECKING:
     import control

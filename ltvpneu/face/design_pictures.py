@@ -19,8 +19,8 @@ from ltvpneu.design.switching.duty_solution import DutySolution
 from ltvpneu.face.shown import PALETTE
 from ltvpneu.models.cycles.orbit_map import OrbitMap
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.steady import steady_state
+from ltvpneu.periodic.orbits.orbit import Orbit
+from ltvpneu.periodic.orbits.steady import steady_state
 from ltvpneu.physics.on_off_valve import OnOffValve
 
 MARKERS = "osD^vP*X"

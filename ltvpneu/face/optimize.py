@@ -16,7 +16,7 @@ from ltvpneu.face.units import Dimension, example_of, parse, pressure_shown, uni
 from ltvpneu.models.cycles.orbit_map import MAP_SPREAD, orbit_map
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import attractors
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.orbit import Orbit
 from ltvpneu.physics.cylinder import ATMOSPHERE
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import step_means
 from ltvpneu.models.nonlinear.attractors import Attractors, describe
 from ltvpneu.models.nonlinear.stroke import Stroke
-from ltvpneu.periodic.floquet import Floquet, floquet
-from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.orbits.floquet import Floquet, floquet
+from ltvpneu.periodic.orbits.orbit import Orbit
+from ltvpneu.periodic.systems.system import PeriodicSystem
 
 # The line styles tell the models apart without colour.
 STYLES: dict[str, dict[str, Any]] = {

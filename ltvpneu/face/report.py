@@ -14,8 +14,8 @@ from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import Attractors, describe
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
 from ltvpneu.models.nonlinear.stiction_band import StictionBand
-from ltvpneu.periodic.floquet import Floquet
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.floquet import Floquet
+from ltvpneu.periodic.orbits.orbit import Orbit
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.real_gas import RealGas
 

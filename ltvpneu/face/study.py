@@ -25,8 +25,8 @@ from ltvpneu.models.nonlinear.attractors import Attractors, attractors
 from ltvpneu.models.nonlinear.floquet import orbit_floquet
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.models.nonlinear.stiction_band import StictionBand, stiction_band
-from ltvpneu.periodic.floquet import Floquet
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.floquet import Floquet
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 
 @final

@@ -14,8 +14,8 @@ from ltvpneu.models.linear.operating_points import quasi_static_turn
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import Attractors
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
-from ltvpneu.periodic.floquet import Floquet
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.floquet import Floquet
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 
 def study_data(study: Study) -> dict[str, Any]:

@@ -18,11 +18,11 @@ import numpy as np
 
 from ltvpneu._arrays import ComplexArray, FloatArray
 from ltvpneu._values import Value
-from ltvpneu.periodic.cyclic import solve_cyclic
-from ltvpneu.periodic.propagate import balancing_scales, complex_exponentials, exponentials
-from ltvpneu.periodic.signals import signal_index
-from ltvpneu.periodic.steady import steady_state
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.algebra.cyclic import solve_cyclic
+from ltvpneu.periodic.algebra.propagate import balancing_scales, complex_exponentials, exponentials
+from ltvpneu.periodic.orbits.steady import steady_state
+from ltvpneu.periodic.systems.signals import signal_index
+from ltvpneu.periodic.systems.system import PeriodicSystem
 
 
 @final

@@ -19,8 +19,8 @@ from ltvpneu.design.air_use import with_air_use
 from ltvpneu.design.forcing.affine import AffineOrbit
 from ltvpneu.design.solving import Constraints, Solution, named_constraints, solve_convex
 from ltvpneu.models.linear.model import LtvModel
-from ltvpneu.periodic.steady import periodic_states
-from ltvpneu.periodic.system import PeriodicSystem, expect_system
+from ltvpneu.periodic.orbits.steady import periodic_states
+from ltvpneu.periodic.systems.system import PeriodicSystem, expect_system
 
 Given = Mapping[str, float | ArrayLike | cp.Expression]
 

@@ -27,8 +27,8 @@ from ltvpneu.design.switching.goals import Wanted
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.linear.linearize import linearize_steps
 from ltvpneu.models.machine.machine import Machine, expect_machine
-from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.orbits.orbit import Orbit
+from ltvpneu.periodic.systems.system import PeriodicSystem
 
 MOST_ROUNDS = 8
 

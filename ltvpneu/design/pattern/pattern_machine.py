@@ -18,7 +18,7 @@ from ltvpneu.design.pattern.slots import count_pulses, with_pattern
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 MOST_ENUMERATED = 12
 """Slots up to which all patterns are tried."""

@@ -11,10 +11,10 @@ from ltvpneu.models.linear.model import assemble
 from ltvpneu.models.linear.operating_points import LEAST_DISTANCE
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.supply_flow import supply_flow_tangents
-from ltvpneu.periodic.exponential import ExponentialTrajectory
-from ltvpneu.periodic.propagate import exponentials
-from ltvpneu.periodic.steady import periodic_states, steady_state
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.algebra.propagate import exponentials
+from ltvpneu.periodic.orbits.exponential import ExponentialTrajectory
+from ltvpneu.periodic.orbits.steady import periodic_states, steady_state
+from ltvpneu.periodic.systems.system import PeriodicSystem
 
 SAMPLES = 200
 """Random patterns from which the states' bounds are taken."""

@@ -41,7 +41,7 @@ from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.linear.own_cycle import OwnCycle
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import present_value, pulse_edges, with_values
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 Scenario = Callable[[Machine], Machine]
 NOMINAL = "nominal"

@@ -9,7 +9,7 @@ from ltvpneu._values import Value
 from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import Attractors, attractors
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 
 @final

@@ -16,7 +16,7 @@ from ltvpneu.models.linear.modes import OperatingPoints
 from ltvpneu.models.machine.machine import Machine, expect_machine
 from ltvpneu.models.nonlinear.failed_point import FailedPoint
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 Model = Literal["nonlinear", "ltv", "lti"]
 

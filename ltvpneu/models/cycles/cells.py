@@ -16,7 +16,7 @@ from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.openings import PIECE, write_areas
 from ltvpneu.models.machine.supply_flow import source_flow
 from ltvpneu.models.nonlinear.integrator import OK
-from ltvpneu.periodic.small import apply, exponential
+from ltvpneu.periodic.algebra.small import apply, exponential
 
 INTERVALS = 32
 """Intervals of each step over which the flow from the supply is integrated by Simpson's rule."""

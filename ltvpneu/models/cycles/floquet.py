@@ -15,8 +15,8 @@ from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.linear.own_cycle import Found
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.method import TIGHTER
-from ltvpneu.periodic.floquet import Floquet, floquet, orbit_multipliers
-from ltvpneu.periodic.modes import Maps
+from ltvpneu.periodic.orbits.floquet import Floquet, floquet, orbit_multipliers
+from ltvpneu.periodic.orbits.modes import Maps
 
 MARGIN = TIGHTER * TOLERANCE / STATE_STEP
 """How far differences may put a multiplier off [-]: what pressures are marched to, over the step."""

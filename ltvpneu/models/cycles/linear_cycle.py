@@ -32,7 +32,7 @@ from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import STEP, around, is_angle
 from ltvpneu.models.machine.piston import at_stop
 from ltvpneu.models.nonlinear.integrator import OK
-from ltvpneu.periodic.exponential import ExponentialTrajectory
+from ltvpneu.periodic.orbits.exponential import ExponentialTrajectory
 
 
 @final

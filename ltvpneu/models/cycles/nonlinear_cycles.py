@@ -20,7 +20,7 @@ from ltvpneu.models.nonlinear.mass_drawn import mass_drawn
 from ltvpneu.models.nonlinear.method import DormandPrince
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.models.nonlinear.polynomial import polynomial_extremes, trajectory_of
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 
 @final

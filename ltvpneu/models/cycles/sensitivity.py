@@ -36,8 +36,8 @@ from ltvpneu.models.machine.parameters import present_value
 from ltvpneu.models.nonlinear.method import DormandPrince
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.models.nonlinear.polynomial import trajectory_of
-from ltvpneu.periodic.orbit import Orbit, Trajectory
-from ltvpneu.periodic.signals import signal_index
+from ltvpneu.periodic.orbits.orbit import Orbit, Trajectory
+from ltvpneu.periodic.systems.signals import signal_index
 
 PARAMETERS = ("duty", "frequency", "supply_pressure", "exhaust_pressure")
 """What derivatives are taken over by default."""

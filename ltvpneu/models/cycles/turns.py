@@ -19,7 +19,7 @@ from ltvpneu.models.nonlinear.method import integration_settings
 from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.stopped import raise_stopped
-from ltvpneu.periodic.orbit import Trajectory
+from ltvpneu.periodic.orbits.orbit import Trajectory
 
 STATE_STEP = 1e-5
 """Step over the scaled states of the cycle's start [-]."""

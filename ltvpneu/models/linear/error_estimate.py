@@ -17,8 +17,8 @@ from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.method import DormandPrince
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.models.nonlinear.period_map import PeriodMap
-from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.signals import signal_index
+from ltvpneu.periodic.orbits.orbit import Orbit
+from ltvpneu.periodic.systems.signals import signal_index
 
 MOST_PERIODS = 500
 """Valve periods in which the machine has to settle."""

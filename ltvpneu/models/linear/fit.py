@@ -15,7 +15,7 @@ from ltvpneu._compiled import compiled
 from ltvpneu.models.machine.dynamics import STUCK, chamber_volume
 from ltvpneu.models.machine.records import MachineRecord, temperature_place
 from ltvpneu.models.nonlinear.integrator import POLYNOMIAL, SPAN
-from ltvpneu.periodic.small import solve
+from ltvpneu.periodic.algebra.small import solve
 
 RIDGE = 1e-6
 """Mean square of a scaled state's excursions below which the fit keeps the tangent's slope over it [-]."""

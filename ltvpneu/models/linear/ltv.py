@@ -16,10 +16,10 @@ from ltvpneu.models.linear.operating_points import LEAST_DISTANCE, Turn, held_in
 from ltvpneu.models.linear.own_cycle import Question, Spacing, model_to_tolerance, own_cycle_model
 from ltvpneu.models.linear.staircase import default_steps, staircase
 from ltvpneu.models.machine.machine import Machine, expect_machine
-from ltvpneu.periodic.exponential import ExponentialTrajectory
-from ltvpneu.periodic.ramps import ramped
-from ltvpneu.periodic.steady import periodic_states
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.orbits.exponential import ExponentialTrajectory
+from ltvpneu.periodic.orbits.steady import periodic_states
+from ltvpneu.periodic.systems.ramps import ramped
+from ltvpneu.periodic.systems.system import PeriodicSystem
 from ltvpneu.physics.liquid import Liquid
 
 Hold = Literal["zero", "first"]

@@ -26,7 +26,7 @@ from ltvpneu.models.machine.piston import after_event, at_stop, is_pressed, marg
 from ltvpneu.models.machine.records import GeneralRecord, MachineRecord, temperature_place
 from ltvpneu.models.nonlinear.integrator import OK, advance, new_log, new_workspace
 from ltvpneu.models.nonlinear.runge_kutta import Workspace, copy
-from ltvpneu.periodic.small import advanced, apply, exponential, solve
+from ltvpneu.periodic.algebra.small import advanced, apply, exponential, solve
 from ltvpneu.physics.liquid import vapor_pressure
 from ltvpneu.physics.properties import LIQUID
 

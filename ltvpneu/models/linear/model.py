@@ -13,10 +13,10 @@ from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.linear.error_estimate import ErrorEstimate, error_estimate
 from ltvpneu.models.linear.linearize import Linearization
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.periodic.exponential import ExponentialTrajectory
-from ltvpneu.periodic.orbit import Orbit
-from ltvpneu.periodic.steady import periodic_states, steady_state
-from ltvpneu.periodic.system import PeriodicSystem
+from ltvpneu.periodic.orbits.exponential import ExponentialTrajectory
+from ltvpneu.periodic.orbits.orbit import Orbit
+from ltvpneu.periodic.orbits.steady import periodic_states, steady_state
+from ltvpneu.periodic.systems.system import PeriodicSystem
 
 WELL_BEYOND = 0.1
 """Share of the stroke, or with one stop of the dead length, by which a mean lies well beyond a stop [-]."""

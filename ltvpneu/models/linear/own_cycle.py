@@ -36,8 +36,8 @@ from ltvpneu.models.nonlinear.orbits import step_label
 from ltvpneu.models.nonlinear.rest import AT_EDGE, rests_in_a_band, what_holds
 from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.stopped import raise_stopped
-from ltvpneu.periodic.exponential import ExponentialTrajectory
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.exponential import ExponentialTrajectory
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 OwnCycle = Literal["fitted", "self-consistent"]
 

@@ -19,7 +19,7 @@ from ltvpneu.models.linear.plan import Plan, Steps
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.periods import MAX_SUBHARMONIC, ROUNDING, is_settled, largest_change
-from ltvpneu.periodic.small import exponential, multiply
+from ltvpneu.periodic.algebra.small import exponential, multiply
 
 WAIT = 2
 """Periods marched before the cycle's start is solved for."""

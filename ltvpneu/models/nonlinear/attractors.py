@@ -31,8 +31,8 @@ from ltvpneu.models.nonlinear.rest import positions_of_rest
 from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.settle import settle
 from ltvpneu.models.nonlinear.simulation import check_state
-from ltvpneu.periodic.floquet import Floquet
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.floquet import Floquet
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 SPREAD = 12
 """Starts over the stroke and the pressures, beside those at rest at zero and at the ends."""

@@ -35,7 +35,7 @@ from ltvpneu.models.nonlinear.method import integration_settings
 from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.stopped import raise_stopped
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(8))
 MASS_IN, MASS_OUT, ENTHALPY_IN, ENTHALPY_OUT, HEAT, WORK = range(6)

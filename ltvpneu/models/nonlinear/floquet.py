@@ -9,9 +9,9 @@ from ltvpneu.models.nonlinear.integrator import Record, log_of
 from ltvpneu.models.nonlinear.orbits import mode_labelled
 from ltvpneu.models.nonlinear.polynomial import PolynomialTrajectory
 from ltvpneu.models.nonlinear.variation import turn_maps
-from ltvpneu.periodic.floquet import Floquet, orbit_multipliers
-from ltvpneu.periodic.modes import Maps
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.floquet import Floquet, orbit_multipliers
+from ltvpneu.periodic.orbits.modes import Maps
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 PARTS = 4
 """Parts that each interval of the integrator is taken in."""

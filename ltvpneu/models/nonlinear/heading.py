@@ -21,7 +21,7 @@ from ltvpneu.models.machine.openings import Pieces
 from ltvpneu.models.machine.records import MachineRecord
 from ltvpneu.models.nonlinear.integrator import MODE, POLYNOMIAL
 from ltvpneu.models.nonlinear.variation import product_of, turn_maps
-from ltvpneu.periodic.small import apply, multiply
+from ltvpneu.periodic.algebra.small import apply, multiply
 
 MOST_DOUBLINGS = 60
 CONVERGED = 1e-13

@@ -28,7 +28,7 @@ from ltvpneu.models.nonlinear.runge_kutta import Run, new_run
 from ltvpneu.models.nonlinear.settle import FINE, settle
 from ltvpneu.models.nonlinear.simulation import initial_state_of
 from ltvpneu.models.nonlinear.stopped import raise_stopped
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.orbit import Orbit
 
 REPEATS = 1e3
 """How well an orbit of several periods repeats once more at least, over the tolerance [-]."""

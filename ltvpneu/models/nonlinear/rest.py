@@ -9,7 +9,7 @@ from ltvpneu.models.machine.piston import at_stop, hold_of, is_pressed
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.runge_kutta import Run
 from ltvpneu.models.nonlinear.settle import settle
-from ltvpneu.periodic.orbit import Orbit
+from ltvpneu.periodic.orbits.orbit import Orbit
 from ltvpneu.physics.friction import holding_force
 
 STILL = 10.0

@@ -17,7 +17,7 @@ from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.polynomial import trajectory_of
 from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.stopped import raise_stopped
-from ltvpneu.periodic import bridge
+from ltvpneu.periodic.systems import bridge
 from ltvpneu.physics.valve import check_duty
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.polynomial import trajectory_of
 from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.stopped import raise_stopped
-from ltvpneu.periodic import bridge
+from ltvpneu.periodic.systems import bridge
 from ltvpneu.physics.on_off_valve import OnOffValve
 from ltvpneu.physics.proportional import ProportionalValve
 

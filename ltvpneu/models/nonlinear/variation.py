@@ -29,7 +29,7 @@ from ltvpneu.models.machine.openings import Pieces, write_areas
 from ltvpneu.models.machine.piston import at_stop, is_pressed
 from ltvpneu.models.machine.records import N_INPUTS, MachineRecord
 from ltvpneu.models.nonlinear.integrator import MODE, PIECE_NUMBER, POLYNOMIAL, SPAN, START
-from ltvpneu.periodic.small import exponential, multiply, rough_exponential
+from ltvpneu.periodic.algebra.small import exponential, multiply, rough_exponential
 
 NEAREST_SOURCE = 1e-5
 """Relative distance from a source's pressure within which the chord to it replaces an ever steeper slope [-]."""

@@ -72,7 +72,7 @@ def test_air_use_is_that_of_the_linear_flow(machine):
     found = design.optimize_pattern(machine, 4.0, 8, mean={"position": (0.04, 0.06)}, minimize="air_use", refit=False)
     areas, point = two_positions(machine), first_points(machine, 4.0)
     from ltvpneu.models.machine.supply_flow import supply_flow_tangents
-    from ltvpneu.periodic.exponential import ExponentialTrajectory
+    from ltvpneu.periodic.orbits.exponential import ExponentialTrajectory
 
     rows, inputs, offsets = supply_flow_tangents(point, areas, 1e-3, machine.record)
     cycle = ExponentialTrajectory(system=found.system, step_states=lp.steady_state(found.system).step_states)

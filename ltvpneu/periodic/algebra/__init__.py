@@ -1,0 +1,1 @@
+"""Products and exponentials of matrices, without over- and underflow; no systems."""

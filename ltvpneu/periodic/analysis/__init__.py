@@ -1,0 +1,1 @@
+"""Gramians, norms, harmonic responses, and optimal control and estimation."""

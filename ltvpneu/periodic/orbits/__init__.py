@@ -1,0 +1,1 @@
+"""Orbits of periodic systems, their stability and their derivatives."""

@@ -1,0 +1,1 @@
+"""Periodic systems: made, taken apart, joined, and handed to python-control and back."""
