@@ -80,7 +80,10 @@ def test_a_file_in_place_of_the_folder(tmp_path, capsys):
 
 def test_what_was_finished_outlasts_a_kill_and_a_stop_is_one_line(tmp_path):
     """A study writes the numbers of its first part before the second, long one begins."""
-    command = [sys.executable, "-m", "ltvpneu", "study", "--points", "2", "--frequency", "10", "--out", str(tmp_path)]
+    # What runs in the background of a shell ignores the signal unless it is told otherwise.
+    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code += "from ltvpneu.face.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, "study", "--points", "2", "--frequency", "10", "--out", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + 240
     while not (tmp_path / "amplitude.png").exists() and time.monotonic() < end and process.poll() is None:
