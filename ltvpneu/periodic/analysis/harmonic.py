@@ -23,7 +23,7 @@ from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic.algebra.cyclic import reduced
 from ltvpneu.periodic.algebra.propagate import complex_exponentials
 from ltvpneu.periodic.analysis.gramians import balanced_matrices
-from ltvpneu.periodic.orbits.floquet import floquet
+from ltvpneu.periodic.orbits.floquet import floquet, is_exponent
 from ltvpneu.periodic.systems import bridge
 from ltvpneu.periodic.systems.system import GROWTH, PeriodicSystem, expect_system
 
@@ -137,12 +137,9 @@ def _periodic_shape(system: PeriodicSystem, shifted: ComplexArray, B: FloatArray
     gap = one.first + one.last
     values = np.linalg.svd(gap, compute_uv=False)
     if n and values[-1] <= 1e-13 * (np.abs(one.first).max() + np.abs(one.last).max()):
-        exponents = floquet(system).exponents
-        shown = ", ".join(f"{x:.6g}" for x in exponents)
-        turns = (exponents - s) * system.period
-        turns = turns.real + 1j * (turns.imag - 2 * np.pi * np.round(turns.imag / (2 * np.pi)))
-        # A pair with a Jordan block is only good to the root of the rounding error.
-        if np.abs(turns).min() > 1e-5:
+        found = floquet(system)
+        shown = ", ".join(f"{x:.6g}" for x in found.exponents)
+        if not is_exponent(found, s):
             raise StepOverflowError(
                 f"the response to e^(s t) at s = {s:.6g} grows too far within the period, and comes back, for double "
                 f"precision to follow, though s is no characteristic exponent (they are {shown}). Are A and the "

@@ -31,10 +31,12 @@ from ltvpneu.periodic.algebra.schur import log_eigenvalues
 from ltvpneu.periodic.orbits.modes import Maps, ModeVectors, cyclic_vectors
 from ltvpneu.periodic.orbits.orbit import Orbit
 from ltvpneu.periodic.systems.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
-from ltvpneu.periodic.systems.system import PeriodicSystem
+from ltvpneu.periodic.systems.system import GROWTH, PeriodicSystem
 
 LEAST_SHARE, TINY = -27.0, float(np.finfo(float).tiny)
 """Logarithm of a modulus, over the largest or one, below which the whole map has lost it to rounding [-]."""
+JORDAN = 1e-5
+"""Distance of logarithms of multipliers within which two may be the same [-]."""
 LARGEST_LOG = 700.0
 """Of a factor of an adjoint shape, beyond which it is cut off so as to stay finite [-]."""
 TRACE_TOLERANCE = 1e-11
@@ -266,10 +268,28 @@ class Floquet(Value):
             )
         step, local = system.step_at(times)
         matrices = system.scaled.matrices[step, :-1, :-1] - exponent * np.eye(system.n_states)
-        maps = complex_exponentials(matrices * local[:, None, None])
+        with np.errstate(over="ignore", invalid="ignore"):
+            maps = complex_exponentials(matrices * local[:, None, None])
+        if not np.abs(maps).max(initial=0.0) <= GROWTH:
+            return self._shape_between(system, mode, times)
         scales = system.scaled.scales
         starts = self.mode_shapes[step, :, mode] / scales
         return (scales * (maps @ starts[:, :, None])[:, :, 0]).T
+
+    def _shape_between(self, system: PeriodicSystem, mode: int, times: FloatArray) -> ComplexArray:
+        """Return p(t) where what the mode leaves behind would drown it on the way from the start of its step.
+
+        The times become starts of steps.
+        """
+        cuts = np.union1d(system.switching_times[:-1], times)
+        durations = np.diff(np.append(cuts, system.period))
+        step, _ = system.step_at(cuts)
+        finer = system.with_parts(durations, step, np.append(np.diff(step) != 0, True))
+        shapes = floquet(finer, least_margin=self.least_margin).mode_shapes[:, :, mode]
+        # The same mode, up to a factor, which shows where it is longest.
+        k = int(np.argmax(np.linalg.norm(self.mode_shapes[:, :, mode], axis=1)))
+        there, here = shapes[np.searchsorted(cuts, system.switching_times[k])], self.mode_shapes[k, :, mode]
+        return (np.vdot(there, here) / np.vdot(there, there) * shapes[np.searchsorted(cuts, times)]).T
 
     def _vectors(self, mode: int) -> ModeVectors:
         """Return p and q of a mode at the start of every piece."""
@@ -376,6 +396,16 @@ def floquet(system: AnyPeriodicSystem, *, least_margin: float = 1e-12) -> Floque
         ),
         system=system,
     )
+
+
+def is_exponent(found: Floquet, s: complex) -> bool:
+    """Return whether s [1/s] is a characteristic exponent, to multiples of j 2 pi / T.
+
+    A pair with a Jordan block is only good to the root of the rounding error, and counts.
+    """
+    real, imaginary = found.log_moduli - s.real * found.period, found.angles - s.imag * found.period
+    imaginary = imaginary - 2 * np.pi * np.round(imaginary / (2 * np.pi))
+    return bool((np.hypot(real, imaginary) <= JORDAN).any())
 
 
 def _jumps_are_singular(system: PeriodicSystem) -> bool:

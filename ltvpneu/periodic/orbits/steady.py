@@ -14,7 +14,7 @@ from ltvpneu._arrays import BoolArray, FloatArray, IntArray
 from ltvpneu.errors import NonUniqueOrbitError, NoOrbitError, StepOverflowError
 from ltvpneu.periodic.algebra.cyclic import Reduced, reduced
 from ltvpneu.periodic.orbits.exponential import ExponentialTrajectory
-from ltvpneu.periodic.orbits.floquet import floquet
+from ltvpneu.periodic.orbits.floquet import floquet, is_exponent
 from ltvpneu.periodic.orbits.orbit import Orbit
 from ltvpneu.periodic.systems.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, HeldTrajectory, expect_periodic
 from ltvpneu.periodic.systems.system import PeriodicSystem
@@ -116,9 +116,7 @@ def _periodic_states(system: AnyPeriodicSystem, singular_below: float) -> FloatA
     left, values, right = np.linalg.svd(gap)
     null = values <= singular_below * size
     if null.any():
-        found = floquet(system)
-        # A pair at one, with a Jordan block, is only good to the root of the rounding error.
-        if np.abs(found.log_moduli + 1j * found.angles).min() > 1e-5:
+        if not is_exponent(floquet(system), 0.0):
             raise StepOverflowError(
                 "the periodic steady state grows too far within the period, and comes back, for double precision to "
                 f"follow (to one part in {1 / singular_below:.0e}); no Floquet multiplier is one, so it exists. "

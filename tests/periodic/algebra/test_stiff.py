@@ -186,3 +186,20 @@ def test_steps_of_no_duration_change_no_norm():
         )  # fmt: skip
         for norm in (lp.h2_norm, lp.hinf_norm, lp.hankel_norm):
             assert norm(padded) == pytest.approx(norm(plain), rel=1e-12)
+
+
+def test_shapes_of_modes_between_the_starts_of_stiff_steps():
+    """p' = (A - exponent) p, by differences, and p is continuous at the switches."""
+    A = [[[-1e4, 3.0], [1.0, -1.0]], [[-2.0, 1.0], [0.5, -3e4]]]
+    system = lp.PeriodicSystem.from_matrices(A, np.zeros((2, 2)), [0.5, 0.5])
+    found = lp.floquet(system)
+    times, h = np.array([0.0, 1e-4, 0.2, 0.4999, 0.4999999, 0.5, 0.50001, 0.7, 0.9999]), 1e-7
+    step, _ = system.step_at(times)
+    for mode in (0, 1):
+        before, after = found.mode_shape(mode, times), found.mode_shape(mode, times + h)
+        rates = np.einsum("kij,jk->ik", system.A[step] - found.exponents[mode] * np.eye(2), (before + after) / 2)
+        inside = times + h <= system.switching_times[step + 1]
+        sizes = np.abs(rates).max(axis=0)
+        gaps = np.abs((after - before) / h - rates).max(axis=0)
+        assert (gaps <= 1e-4 * sizes)[inside].all()
+        np.testing.assert_allclose(before[:, 5], found.mode_shapes[1, :, mode], rtol=1e-9, atol=1e-300)
