@@ -59,6 +59,8 @@ from .models.nonlinear.stroke import Stroke as Stroke
 from .models.nonlinear.stroke import stroke as stroke
 from .periodic.algebra.product import ProductMultipliers as ProductMultipliers
 from .periodic.algebra.product import product_multipliers as product_multipliers
+from .periodic.analysis.estimator import Estimator as Estimator
+from .periodic.analysis.estimator import kalman as kalman
 from .periodic.analysis.gramians import Gramians as Gramians
 from .periodic.analysis.gramians import gramians as gramians
 from .periodic.analysis.harmonic import frequency_response as frequency_response
@@ -69,10 +71,8 @@ from .periodic.analysis.lyapunov import lyapunov_factors as lyapunov_factors
 from .periodic.analysis.norms import h2_norm as h2_norm
 from .periodic.analysis.norms import hankel_norm as hankel_norm
 from .periodic.analysis.observer import observer_controller as observer_controller
-from .periodic.analysis.riccati import Estimator as Estimator
-from .periodic.analysis.riccati import Regulator as Regulator
-from .periodic.analysis.riccati import kalman as kalman
-from .periodic.analysis.riccati import lqr as lqr
+from .periodic.analysis.regulator import Regulator as Regulator
+from .periodic.analysis.regulator import lqr as lqr
 from .periodic.orbits.events import with_state_events as with_state_events
 from .periodic.orbits.floquet import Floquet as Floquet
 from .periodic.orbits.floquet import floquet as floquet

@@ -11,7 +11,8 @@ import numpy as np
 
 from ltvpneu._arrays import ComplexArray, FloatArray, positive, solved
 from ltvpneu.errors import NotConvergedError
-from ltvpneu.periodic.analysis.riccati import Estimator, Regulator
+from ltvpneu.periodic.analysis.estimator import Estimator
+from ltvpneu.periodic.analysis.regulator import Regulator
 from ltvpneu.periodic.orbits.floquet import floquet
 from ltvpneu.periodic.systems.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, sampled
 from ltvpneu.periodic.systems.interconnect import feedback

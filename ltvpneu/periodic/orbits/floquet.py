@@ -28,13 +28,11 @@ from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic.algebra.product import exp_of, expect_converged, falling, from_logs, product_multipliers, rank_of
 from ltvpneu.periodic.algebra.propagate import complex_exponentials
 from ltvpneu.periodic.algebra.schur import log_eigenvalues
-from ltvpneu.periodic.orbits.modes import Maps, ModeVectors, cyclic_vectors
+from ltvpneu.periodic.orbits.modes import Maps, ModeVectors, cyclic_vectors, product_vectors
 from ltvpneu.periodic.orbits.orbit import Orbit
 from ltvpneu.periodic.systems.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
 from ltvpneu.periodic.systems.system import GROWTH, PeriodicSystem
 
-LEAST_SHARE, TINY = -27.0, float(np.finfo(float).tiny)
-"""Logarithm of a modulus, over the largest or one, below which the whole map has lost it to rounding [-]."""
 JORDAN = 1e-5
 """Distance of logarithms of multipliers within which two may be the same [-]."""
 LARGEST_LOG = 700.0
@@ -300,8 +298,11 @@ class Floquet(Value):
 
     def _upper_vectors(self, mode: int) -> ModeVectors:
         if mode not in self._known_vectors:
-            of_system = self.maps.growth is not None and np.isfinite(self.log_moduli[mode])
-            self._known_vectors[mode] = self._vectors_of_system(mode) if of_system else self._vectors_of_product(mode)
+            if self.maps.growth is not None and np.isfinite(self.log_moduli[mode]):
+                found = self._vectors_of_system(mode)
+            else:
+                found = product_vectors(self.maps, self.multipliers, self.log_moduli, mode)
+            self._known_vectors[mode] = found
         return self._known_vectors[mode]
 
     @cached_property
@@ -313,38 +314,6 @@ class Floquet(Value):
         # Members of one multiple multiplier take the singular vectors in turn.
         member = int(np.count_nonzero(apart[:mode] < 1e-8))
         return cyclic_vectors(self.maps, mode, float(self.log_moduli[mode]), float(self.angles[mode]), member)
-
-    def _vectors_of_product(self, mode: int) -> ModeVectors:
-        """Return p and q by the eigenvectors of the whole map, whose factors may be singular, as where a piston stops.
-
-        A multiplier below the rounding of one, or of the largest, is as good as zero: what it belongs to is gone after
-        the period.
-        """
-        maps, least = self.maps, max(float(self.log_moduli[0]), 0.0) + LEAST_SHARE
-        if self.log_moduli[mode] > least:
-            exponent = complex(self.exponents[mode])
-            p, q = (_eigenvector(matrix, self.multipliers[mode]) for matrix in (maps.product, maps.product.T))
-        else:
-            exponent = 0j
-            left, values, right = np.linalg.svd(maps.product)
-            gone = np.flatnonzero(self.log_moduli <= least)
-            # A chain of them has one direction that is gone after one period.
-            n_null = max(int(np.count_nonzero(values <= 1e-12 * max(values[0], TINY))), 1)
-            member = min(int(np.count_nonzero(gone > mode)), n_null - 1)
-            p, q = right[-1 - member].astype(np.complex128), left[:, -1 - member].astype(np.complex128)
-        shrink = np.exp(-exponent * maps.durations)
-        forward, backward = [p], [q]
-        for factor, share in zip(maps.factors[:-1], shrink[:-1], strict=True):
-            forward.append(share * (factor @ forward[-1]))
-        for factor, share in zip(maps.factors[:0:-1], shrink[:0:-1], strict=True):
-            backward.append(share * (factor.T @ backward[-1]))
-        return ModeVectors(np.array(forward), np.roll(np.array(backward[::-1]), 1, axis=0), np.zeros(len(forward)))
-
-
-def _eigenvector(matrix: FloatArray, eigenvalue: complex) -> ComplexArray:
-    """Return the eigenvector of a matrix whose eigenvalue is nearest to the one given."""
-    values, vectors = np.linalg.eig(matrix)
-    return vectors[:, int(np.argmin(np.abs(values - eigenvalue)))].astype(np.complex128)
 
 
 def floquet(system: AnyPeriodicSystem, *, least_margin: float = 1e-12) -> Floquet:

@@ -17,6 +17,8 @@ from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic.algebra.cyclic import Reduced, reduced, reduced_pairs
 from ltvpneu.periodic.algebra.product import exp_of
 
+LEAST_SHARE, TINY = -27.0, float(np.finfo(float).tiny)
+"""Logarithm of a modulus, over the largest or one, below which the whole map has lost it to rounding [-]."""
 LARGEST_RATIO = 300.0
 """Logarithm of sizes beyond which a state is all or nothing beside another [-]."""
 MODERATE_SIZE = 5.0
@@ -142,3 +144,36 @@ def _null_trajectory(one: Reduced, member: int) -> ComplexArray:
     right = np.linalg.svd(one.first + one.last)[2]
     start = np.conj(right[len(right) - 1 - member])[:, None]
     return one.all_from(start, start)[:-1, :, 0]
+
+
+def product_vectors(maps: Maps, multipliers: ComplexArray, log_moduli: FloatArray, mode: int) -> ModeVectors:
+    """Return p and q by the eigenvectors of the whole map, whose factors may be singular, as where a piston stops.
+
+    A multiplier below the rounding of one, or of the largest, is as good as zero: what it belongs to is gone after
+    the period.
+    """
+    least = max(float(log_moduli[0]), 0.0) + LEAST_SHARE
+    if log_moduli[mode] > least:
+        exponent = complex(log_moduli[mode], np.angle(multipliers[mode])) / float(np.sum(maps.durations))
+        p, q = (_eigenvector(matrix, multipliers[mode]) for matrix in (maps.product, maps.product.T))
+    else:
+        exponent = 0j
+        left, values, right = np.linalg.svd(maps.product)
+        gone = np.flatnonzero(log_moduli <= least)
+        # A chain of them has one direction that is gone after one period.
+        n_null = max(int(np.count_nonzero(values <= 1e-12 * max(values[0], TINY))), 1)
+        member = min(int(np.count_nonzero(gone > mode)), n_null - 1)
+        p, q = right[-1 - member].astype(np.complex128), left[:, -1 - member].astype(np.complex128)
+    shrink = np.exp(-exponent * maps.durations)
+    forward, backward = [p], [q]
+    for factor, share in zip(maps.factors[:-1], shrink[:-1], strict=True):
+        forward.append(share * (factor @ forward[-1]))
+    for factor, share in zip(maps.factors[:0:-1], shrink[:0:-1], strict=True):
+        backward.append(share * (factor.T @ backward[-1]))
+    return ModeVectors(np.array(forward), np.roll(np.array(backward[::-1]), 1, axis=0), np.zeros(len(forward)))
+
+
+def _eigenvector(matrix: FloatArray, eigenvalue: complex) -> ComplexArray:
+    """Return the eigenvector of a matrix whose eigenvalue is nearest to the one given."""
+    values, vectors = np.linalg.eig(matrix)
+    return vectors[:, int(np.argmin(np.abs(values - eigenvalue)))].astype(np.complex128)
