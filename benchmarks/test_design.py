@@ -165,3 +165,21 @@ def test_a_re_solve_against_cvxpy_alone(benchmark: BenchmarkFixture) -> None:
     one, two = timed(lambda: [ours() for _ in range(20)])[0], timed(lambda: [alone() for _ in range(20)])[0]
     print(f"\nre-solve: {50 * one:.2f} ms, bare cvxpy {50 * two:.2f} ms, ratio {one / two:.2f}")
     benchmark.pedantic(ours, rounds=1)
+
+
+def test_a_front_against_one_optimum(benchmark: BenchmarkFixture) -> None:
+    """Twenty points of air against ripple, each with the nonlinear machine's figures, against one optimum, corrected."""
+    machine, bounds, mean = lp.load_machine("kunt_singh_1990"), (6.0, 18.0), {"position": MEAN}
+
+    def optimum() -> Any:
+        return design.optimize_duty(machine, bounds, mean=mean, minimize="air_use", correct=True)
+
+    def front() -> design.TradeOff:
+        return design.trade_off(machine, bounds, mean=mean, minimize=("air_use", "amplitude"), points=20)
+
+    optimum()
+    one, _ = timed(optimum)
+    twenty, found = timed(front)
+    print(f"\na front of {len(found.values)} points: {twenty:.2f} s, one optimum {one:.2f} s, ratio {twenty / one:.1f}")
+    assert len(found.values) == 20
+    benchmark.pedantic(optimum, rounds=1)

@@ -57,6 +57,9 @@ DRIVE = lp.load_machine("double_acting_5_2")
 SAMPLES: dict[str, Callable[[], Any]] = {
     "ISO6358": lambda: lp.ISO6358(sonic_conductance=0.7e-8),
     "Stroke": lambda: lp.stroke(lift()),
+    "TradeOff": lambda: design.trade_off(
+        MACHINE, (14.0, 15.0), {"duty": (0.42, 0.45)}, mean={"position": 0.045}, points=2
+    ),
     "Tube": lambda: lp.Tube(length=1.0, inner_diameter=0.004),
     "AmplitudeResponse": lambda: lp.amplitude_response(sprung_less(), [5.0, 9.0]),
     "Attractors": lambda: lp.attractors(MACHINE, 8.0),

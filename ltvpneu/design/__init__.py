@@ -13,6 +13,7 @@ from ltvpneu.design.switching.cycle import LinearizedCycle
 from ltvpneu.design.switching.duty_problem import DutyProblem, duty_problem
 from ltvpneu.design.switching.duty_solution import DutySolution
 from ltvpneu.design.switching.goals import Goals, optimize_duty
+from ltvpneu.design.switching.trade_off import TradeOff, trade_off
 from ltvpneu.design.valve_limits import ValveLimits
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "PatternSolution",
     "PositionController",
     "StabilityMap",
+    "TradeOff",
     "ValveLimits",
     "air_use",
     "common_lyapunov",
@@ -42,5 +44,6 @@ __all__ = [
     "optimize_pattern",
     "simulate_closed_loop",
     "stability_map",
+    "trade_off",
     "with_air_use",
 ]

@@ -192,7 +192,12 @@ def _add_goals(parser: argparse.ArgumentParser) -> None:
         "--model", choices=("fitted", "self-consistent"), default="fitted", help="linear model (default: fitted)"
     )
     parser.add_argument("--global", dest="globally", action="store_true", help="search all of one or two settings")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for optimum.json and a picture")
+    parser.add_argument(
+        "--trade-off", metavar="A,B",
+        help="instead of one optimum the front between two objectives, such as air_use,amplitude",
+    )  # fmt: skip
+    parser.add_argument("--points", type=int, default=20, metavar="N", help="points of that front (default: 20)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for JSON, a picture and the machine's file")
 
 
 def _add_design(parser: argparse.ArgumentParser, points: str | None) -> None:

@@ -15,6 +15,7 @@ from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
 from ltvpneu.face.study_data import study_data
 from ltvpneu.face.sweep import LARGEST, grid, run_sweep, sweep_text, write_sweep
 from ltvpneu.face.tables import table
+from ltvpneu.face.trade_off import run_trade_off, trade_off_text, write_trade_off
 from ltvpneu.models.cycles.floquet import cycle_floquet
 from ltvpneu.models.cycles.orbit_map import MAP_SPREAD
 from ltvpneu.models.linear.ltv import OperatingPoints, ltv_model
@@ -40,6 +41,8 @@ def optimize(options: argparse.Namespace) -> int:
     if options.pulses > 1:
         turn = 2 * math.pi / options.pulses
         machine = machine.with_pulses([(i * turn, (i + machine.duty) * turn) for i in range(options.pulses)])
+    if options.trade_off is not None:
+        return _trade_off(machine, options)
     found = run_request(machine, parse_request(machine, options), model=options.model, globally=options.globally)
     print(f"{machine.name}\n{optimum_text(found)}")
     if options.out is not None:
@@ -47,6 +50,17 @@ def optimize(options: argparse.Namespace) -> int:
         write_optimum(found, results)
         print(f"\n{results.listed()}")
     return 0 if found.status == "optimal" else 1
+
+
+def _trade_off(machine: Machine, options: argparse.Namespace) -> int:
+    request = parse_request(machine, options)
+    front = run_trade_off(machine, request, options.trade_off, points=options.points, model=options.model)
+    print(f"{machine.name}\n{trade_off_text(front)}")
+    if options.out is not None:
+        results = Results(options.out)
+        write_trade_off(front, results)
+        print(f"\n{results.listed()}")
+    return 0
 
 
 def _machine(options: argparse.Namespace) -> Machine:

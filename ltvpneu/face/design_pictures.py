@@ -16,7 +16,8 @@ from ltvpneu.design.feedback import ClosedLoop
 from ltvpneu.design.pattern.pattern import PatternSolution
 from ltvpneu.design.stability_map import StabilityMap
 from ltvpneu.design.switching.duty_solution import DutySolution
-from ltvpneu.face.shown import PALETTE
+from ltvpneu.design.switching.trade_off import TradeOff
+from ltvpneu.face.shown import PALETTE, objective_unit
 from ltvpneu.models.cycles.orbit_map import OrbitMap
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.periodic.orbits.orbit import Orbit
@@ -38,6 +39,8 @@ def draw_design(result: object) -> Figure | None:
         return draw_optimum(result)
     if isinstance(result, PatternSolution):
         return draw_pattern(result)
+    if isinstance(result, TradeOff):
+        return draw_trade_off(result)
     if isinstance(result, StabilityMap):
         return draw_stability_map(result)
     return None
@@ -197,6 +200,39 @@ def draw_optimum(found: DutySolution) -> Figure:
     shown = f": {settings}" if len(found.values) <= MOST_NAMED else ""
     title = f"{found.machine.name} at {found.frequency:.4g} Hz{shown} ({found.status})"
     return _cycles_and_openings(orbits, found.machine, found.frequency, title)
+
+
+def draw_trade_off(found: TradeOff) -> Figure:
+    """Front of both objectives, on the model and on the nonlinear machine, and the cycles at its ends."""
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    front, cycles = figure.subplots(1, 2)
+    (first, across), (second, along) = ((name, objective_unit(name)) for name in found.minimize)
+    x, y = along.factor * found.values[:, 1], across.factor * found.values[:, 0]
+    front.plot(x, y, color=PALETTE[0], marker="." if len(x) > 1 else "o", label="model")
+    machine = along.factor * found.nonlinear_values[:, 1], across.factor * found.nonlinear_values[:, 0]
+    front.plot(*machine, linestyle="none", marker="o", markerfacecolor="none", color=PALETTE[1],
+               label="nonlinear machine")  # fmt: skip
+    front.set_xlabel(_with_unit(second, along.symbol))
+    front.set_ylabel(_with_unit(first, across.symbol))
+    ends = {f"least {first}": found.solutions[0], f"least {second}": found.solutions[-1]}
+    for number, (name, one) in enumerate(ends.items()):
+        orbit = one.nonlinear["nominal"]
+        if isinstance(orbit, Orbit) and (number == 0 or not found.is_single):
+            times = np.linspace(0.0, orbit.period, 400)
+            label = f"{name}: {one.frequency:.4g} Hz"
+            cycles.plot(1e3 * times, 1e3 * orbit.at(times)[0], color=PALETTE[2 + number], label=label)
+    cycles.set_xlabel("time [ms]")
+    cycles.set_ylabel("position [mm]")
+    for axes in (front, cycles):
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    what = "do not conflict" if found.is_single else f"{len(x)} points"
+    figure.suptitle(f"{found.solutions[0].machine.name}: {first} against {second}, {what}", fontsize=11)
+    return figure
+
+
+def _with_unit(name: str, symbol: str) -> str:
+    return name.replace("_", " ") + (f" [{symbol}]" if symbol else "")
 
 
 def draw_pattern(found: PatternSolution) -> Figure:

@@ -1,7 +1,8 @@
 """`ltvpneu optimize`: goals from the command line, the design, its tables, JSON and pictures."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -108,6 +109,36 @@ def run_request(machine: Machine, request: Request, *, model: Any, globally: boo
     """Solve, with a progress bar."""
     # A lazy door: cvxpy takes a second to load, and no other command needs it.
     from ltvpneu import design
+
+    with progress_bar("optimize") as progress:
+        return design.optimize_duty(
+            machine,
+            request.frequency,
+            request.variables,
+            minimize=request.minimize,
+            **asked(machine, request),
+            model=model,
+            globally=globally,
+            correct=True,
+            progress=progress,
+        )
+
+
+@contextmanager
+def progress_bar(name: str) -> Generator[Callable[[str, float], None]]:
+    """Show a bar; what is called moves it, with what is done and the share of all that is."""
+    with tqdm(total=1.0, desc=name, leave=False, bar_format="{desc} |{bar}| {elapsed}") as bar:
+
+        def progress(text: str, share: float) -> None:
+            bar.set_description_str(f"{name}: {text}", refresh=False)
+            bar.update(share - bar.n)
+
+        yield progress
+
+
+def asked(machine: Machine, request: Request) -> dict[str, Any]:
+    """Return the goals, scenarios and limits of the valve that were asked for, as the design functions take them."""
+    from ltvpneu import design
     from ltvpneu.models.machine.parameters import present_value, with_values
 
     at = request.frequency[0] if isinstance(request.frequency, tuple) else request.frequency
@@ -117,29 +148,14 @@ def run_request(machine: Machine, request: Request, *, model: Any, globally: boo
             present_value(machine, at, name)
         return lambda one: with_values(one, {n: k * present_value(one, at, n) for n, k in factors.items()})
 
-    with tqdm(total=1.0, desc="optimize", leave=False, bar_format="{desc} |{bar}| {elapsed}") as bar:
-
-        def progress(text: str, share: float) -> None:
-            bar.set_description_str(f"optimize: {text}", refresh=False)
-            bar.update(share - bar.n)
-
-        goals = design.Goals(
+    return {
+        "goals": design.Goals(
             mean=request.mean, amplitude=request.amplitude, maximum=request.maximum, minimum=request.minimum,
             air_use=request.air_use,
-        )  # fmt: skip
-        return design.optimize_duty(
-            machine,
-            request.frequency,
-            request.variables,
-            minimize=request.minimize,
-            goals=goals,
-            scenarios={name: scenario(factors) for name, factors in request.scenarios.items()},
-            valve=design.ValveLimits(**cast(dict[str, Any], request.valve)),
-            model=model,
-            globally=globally,
-            correct=True,
-            progress=progress,
-        )
+        ),
+        "scenarios": {name: scenario(factors) for name, factors in request.scenarios.items()},
+        "valve": design.ValveLimits(**cast(dict[str, Any], request.valve)),
+    }  # fmt: skip
 
 
 def optimum_text(found: "DutySolution") -> str:

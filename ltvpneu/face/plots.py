@@ -16,7 +16,7 @@ def plot(result: object) -> "Figure":
         (multipliers on the unit circle), `Orbit`, a dict of label to `Orbit`, or `Attractors` (cycles, overlaid),
         `Stroke`, `DataSheet` (its strokes; its `.switching` is drawn alone), `AmplitudeResponse` (amplitude over
         frequency), `OrbitMap`, `ValidityMap`, `ParameterSensitivity`, `design.DutyMap`, `design.ClosedLoop`,
-        `design.DutySolution`, `design.PatternSolution`, `design.StabilityMap`,
+        `design.DutySolution`, `design.TradeOff`, `design.PatternSolution`, `design.StabilityMap`,
         or a time or frequency response of python-control.
 
     Returns

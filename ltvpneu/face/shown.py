@@ -16,6 +16,16 @@ class Unit(NamedTuple):
     symbol: str
 
 
+def objective_unit(objective: str) -> Unit:
+    """Return the factor from SI and the unit in which a design's objective is shown."""
+    kind, _, signal = objective.partition(" ")
+    if kind == "air_use":
+        return Unit(1e3, "g/s")
+    if kind == "switching":
+        return Unit(1.0, "1/s")
+    return unit_of(signal or "position") if kind == "amplitude" else Unit(1.0, "")
+
+
 def unit_of(signal: str) -> Unit:
     """Return the factor from SI and the unit in which a signal is shown."""
     if signal == "position":

@@ -218,6 +218,23 @@ class DutyProblem:
             for share, (name, (low, high)) in zip(setting, self.bounds.items(), strict=True)
         }
 
+    def values_of(
+        self, expressions: Sequence[Any], values: Mapping[str, float], model: ModelKind = "nonlinear"
+    ) -> tuple[float, ...]:
+        """Return what expressions of the figures are at a setting, on a model.
+
+        Raises
+        ------
+        LtvpneuError
+            The model has no cycle there.
+        """
+        setting = self._given(values)
+        figures = self._evaluate(self._cycles(model, 1), setting)
+        self._setting.value = setting
+        for block, one in zip(self._blocks, figures, strict=True):
+            block.variable.value = one.values
+        return tuple(float(np.asarray(expression.value)) for expression in expressions)
+
     def _cycles(self, model: ModelKind, steps_per_piece: int) -> dict[str, Cycles]:
         if model not in ("fitted", "self-consistent", "nonlinear"):
             raise ValueError(f'model: found {model!r}, expected "fitted", "self-consistent" or "nonlinear"')

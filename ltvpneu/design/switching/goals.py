@@ -132,8 +132,8 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     if goals.cycle and minimize != "tracking":
         raise ValueError(f'goals: found a wanted cycle with minimize={minimize!r}, expected minimize="tracking"')
     problem = duty_problem(machine, frequency, variables, scenarios=scenarios, valve=valve)
-    constraints = _constraints(problem, goals, minimize)
-    objective = cp.Minimize(_objective(problem, goals, minimize))
+    constraints = constraints_of(problem, goals, minimize)
+    objective = cp.Minimize(objective_of(problem, goals, minimize))
     found = problem.solve(
         objective,
         constraints,
@@ -151,7 +151,8 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     return replace(found, corrected=corrected)
 
 
-def _objective(problem: DutyProblem, goals: Goals, minimize: str) -> Any:
+def objective_of(problem: DutyProblem, goals: Goals, minimize: str) -> Any:
+    """Return what `minimize` names as a cvxpy expression, in several scenarios of the worst one."""
     kind, _, signal = str(minimize).partition(" ")
     if kind not in OBJECTIVES or (signal and kind != "amplitude"):
         near = get_close_matches(str(minimize), OBJECTIVES, 1, 0.4)
@@ -192,7 +193,8 @@ def _distance(cycle: LinearizedCycle, signal: str, angles: ArrayLike, values: Ar
     return cp.sum_squares((cycle.at(signal, places) - wanted) / cycle.size(signal)) / places.size
 
 
-def _constraints(problem: DutyProblem, goals: Goals, minimize: str) -> dict[str, cp.Constraint]:
+def constraints_of(problem: DutyProblem, goals: Goals, minimize: str) -> dict[str, cp.Constraint]:
+    """Return what is wanted as cvxpy constraints by name; no means where `minimize` is the distance from them."""
     found: dict[str, Any] = {}
     for name, cycle in problem.scenarios.items():
         where = "" if name == NOMINAL else f", {name}"
