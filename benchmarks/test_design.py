@@ -168,7 +168,7 @@ def test_a_re_solve_against_cvxpy_alone(benchmark: BenchmarkFixture) -> None:
 
 
 def test_a_front_against_one_optimum(benchmark: BenchmarkFixture) -> None:
-    """Twenty points of air against ripple, each with the nonlinear machine's figures, against one optimum, corrected."""
+    """Twenty points of air against ripple, with the nonlinear machine's figures, against one optimum, corrected."""
     machine, bounds, mean = lp.load_machine("kunt_singh_1990"), (6.0, 18.0), {"position": MEAN}
 
     def optimum() -> Any:
