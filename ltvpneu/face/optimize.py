@@ -19,6 +19,8 @@ from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.attractors import attractors
 from ltvpneu.periodic.orbits.orbit import Orbit
 from ltvpneu.physics.cylinder import ATMOSPHERE
+from ltvpneu.physics.iso6358 import ANR_DENSITY
+from ltvpneu.physics.liquid import Liquid
 
 if TYPE_CHECKING:
     from ltvpneu.design import DutySolution
@@ -76,7 +78,7 @@ def parse_request(machine: Machine, options: Any) -> Request:
         if name == "amplitude":
             amplitude["position"] = _quantity("--max", name, value, around)
         elif name == "air_use":
-            air_use = 1e-3 * float(_plain("--max", name, re.sub(r"\s*g/s$", "", value)))
+            air_use = _flow("--max", name, value, isinstance(machine.gas, Liquid))
         else:
             maximum[name] = _quantity("--max", name, value, around)
     minimum = dict[str, float]()
@@ -255,9 +257,15 @@ def _cells(machine: Machine, orbit: Orbit) -> list[str]:
     return [
         shown("position", orbit.mean("position")),
         shown("position", orbit.amplitude("position")),
-        f"{1e3 * air_use(machine, orbit):.3f} g/s",
+        flow_shown(air_use(machine, orbit), machine),
         ", ".join(remarks),
     ]
+
+
+def flow_shown(flow: float, machine: Machine) -> str:
+    """Return a mass flow [kg/s] as people speak of it; of a gas as its volume at ANR too."""
+    normal = "" if isinstance(machine.gas, Liquid) else f" = {6e4 * flow / ANR_DENSITY:.1f} Nl/min"
+    return f"{1e3 * flow:.3f} g/s{normal}"
 
 
 def optimum_data(found: "DutySolution") -> dict[str, Any]:
@@ -382,6 +390,20 @@ def _quantity(option: str, name: str, text: str, ambient: float = ATMOSPHERE) ->
         return parse(text, dimension, ambient)
     except ValueError as error:
         raise ValueError(f"{option}: {name}: {error}") from None
+
+
+def _flow(option: str, name: str, text: str, is_liquid: bool) -> float:
+    """Return a mass flow [kg/s]; of gases its volume at ANR says it too."""
+    if _is_number(text):
+        normal = "" if is_liquid else ' or "100 Nl/min"'
+        raise ValueError(f'{option}: {name}: found {text!r} without a unit, expected "2 g/s"{normal}')
+    try:
+        if not is_liquid and re.search(r"(l|m\^?3|m³)\s*/", text):
+            return parse(text, "volume flow") * ANR_DENSITY
+        return parse(text, "mass flow")
+    except ValueError as error:
+        normal = "" if is_liquid else ' or "100 Nl/min"'
+        raise ValueError(f"{option}: {name}: {error}{normal}") from None
 
 
 def _is_number(text: str) -> bool:

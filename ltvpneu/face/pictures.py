@@ -26,6 +26,7 @@ from ltvpneu.models.nonlinear.attractors import Attractors, describe
 from ltvpneu.models.nonlinear.stroke import Stroke
 from ltvpneu.periodic.orbits.floquet import Floquet, floquet
 from ltvpneu.periodic.orbits.orbit import Orbit
+from ltvpneu.periodic.systems.discrete import DiscretePeriodicSystem
 from ltvpneu.periodic.systems.system import PeriodicSystem
 
 # The line styles tell the models apart without colour.
@@ -43,7 +44,7 @@ def draw(result: object) -> Figure:
         return draw_areas(result)
     if isinstance(result, LtvModel):
         return draw_areas(result.machine, _stairs_of(result))
-    if isinstance(result, PeriodicSystem):
+    if isinstance(result, PeriodicSystem | DiscretePeriodicSystem):
         return draw_multipliers({result.name: floquet(result)})
     if isinstance(result, Floquet):
         return draw_multipliers({"": result})

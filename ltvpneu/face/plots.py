@@ -12,12 +12,12 @@ def plot(result: object) -> "Figure":
     Parameters
     ----------
     result
-        A `Machine` (its valve areas), `LtvModel` (areas and staircase), `PeriodicSystem` (its multipliers), `Floquet`
-        (multipliers on the unit circle), `Orbit`, a dict of label to `Orbit`, or `Attractors` (cycles, overlaid),
-        `Stroke`, `DataSheet` (its strokes; its `.switching` is drawn alone), `AmplitudeResponse` (amplitude over
-        frequency), `OrbitMap`, `ValidityMap`, `ParameterSensitivity`, `design.DutyMap`, `design.ClosedLoop`,
-        `design.DutySolution`, `design.TradeOff`, `design.PatternSolution`, `design.StabilityMap`,
-        or a time or frequency response of python-control.
+        A `Machine` (its valve areas), `LtvModel` (areas and staircase), `PeriodicSystem` (its multipliers; in
+        discrete time too), `Floquet` (multipliers on the unit circle), `Orbit`, a dict of label to `Orbit`, or
+        `Attractors` (cycles, overlaid), `Stroke`, `DataSheet` (its strokes; its `.switching` is drawn alone),
+        `AmplitudeResponse` (amplitude over frequency), `OrbitMap`, `ValidityMap`, `ParameterSensitivity`,
+        `design.DutyMap`, `design.ClosedLoop`, `design.DutySolution`, `design.TradeOff`, `design.PatternSolution`,
+        `design.StabilityMap`, or a time or frequency response of python-control.
 
     Returns
     -------

@@ -14,7 +14,7 @@ INCH, POUND_FORCE = 0.0254, 4.4482216152605
 Dimension = Literal[
     "pressure", "length", "area", "volume", "mass", "force", "stiffness", "damping", "temperature", "angle",
     "gas constant", "heat transfer coefficient", "density", "viscosity", "sonic conductance",
-    "volume flow", "time", "number",
+    "volume flow", "mass flow", "time", "number",
 ]  # fmt: skip
 
 _UNITS: dict[Dimension, dict[str, float]] = {
@@ -43,8 +43,10 @@ _UNITS: dict[Dimension, dict[str, float]] = {
         "m^3/(s Pa)": 1.0, "dm^3/(s bar)": 1e-8, "l/(s bar)": 1e-8, "l/(min bar)": 1e-8 / 60, "cm^3/(s bar)": 1e-11,
     },
     "volume flow": {
-        "m^3/s": 1.0, "m^3/h": 1 / 3600, "dm^3/s": 1e-3, "l/s": 1e-3, "l/min": 1 / 60000, "Nl/min": 1 / 60000
+        "m^3/s": 1.0, "m^3/h": 1 / 3600, "dm^3/s": 1e-3, "l/s": 1e-3, "l/min": 1 / 60000, "Nl/min": 1 / 60000,
+        "m^3/min": 1 / 60,
     },
+    "mass flow": {"kg/s": 1.0, "g/s": 1e-3, "g/min": 1e-3 / 60, "kg/min": 1 / 60, "kg/h": 1 / 3600},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
     "number": {"": 1.0, "%": 1e-2},
 }  # fmt: skip
@@ -54,7 +56,8 @@ _EXAMPLES: dict[Dimension, str] = {
     "force": "26.6 N", "stiffness": "2.1 kN/m", "damping": "43.7 N s/m", "temperature": "20 degC", "angle": "180 deg",
     "gas constant": "287.05 J/(kg K)",
     "heat transfer coefficient": "60 W/(m^2 K)", "density": "860 kg/m^3", "viscosity": "27.5 mPa s",
-    "sonic conductance": "0.7 dm^3/(s bar)", "volume flow": "500 l/min", "time": "12 ms", "number": "0.5",
+    "sonic conductance": "0.7 dm^3/(s bar)", "volume flow": "500 l/min", "mass flow": "2 g/s", "time": "12 ms",
+    "number": "0.5",
 }  # fmt: skip
 LARGEST = 1e30
 """No quantity of a machine in SI units is beyond it."""

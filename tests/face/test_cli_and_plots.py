@@ -434,3 +434,8 @@ def test_ctrl_c_ends_a_command_with_a_word_and_its_exit_code(monkeypatch, capsys
     monkeypatch.setattr("ltvpneu.face.commands.stability", interrupted)
     assert main(["stability", "kunt_singh_1990", "--frequency", "4"]) == 130
     assert "ltvpneu stability: stopped" in capsys.readouterr().err
+
+
+def test_a_system_in_discrete_time_shows_its_multipliers():
+    system = lp.PeriodicSystem.from_matrices([[[-1.0]], [[-3.0]]], [[0.0]] * 2, [0.5, 0.5])
+    assert lp.plot(lp.sampled(system)).axes[0].get_title() == "Floquet multipliers"

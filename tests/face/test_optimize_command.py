@@ -7,7 +7,9 @@ import pytest
 
 import ltvpneu as lp
 from ltvpneu.face import study_design
+from ltvpneu.face.cli import _parser as parser_of
 from ltvpneu.face.cli import main
+from ltvpneu.face.optimize import Request, parse_request
 
 
 def test_an_optimum_is_printed_and_written(tmp_path, capsys):
@@ -103,3 +105,39 @@ def test_where_nothing_moves_the_study_says_so(table_1, monkeypatch):
     printed = study_design.design_text(found)
     assert "the piston moves at no duty" in printed
     assert "In brackets: stiction holds" in printed
+
+
+def bounded(machine: str, text: str) -> Request:
+    options = parser_of().parse_args(["optimize", machine, "--frequency", "12", "--max", text])
+    return parse_request(lp.load_machine(machine), options)
+
+
+@pytest.mark.parametrize(
+    ("text", "kg_per_s"),
+    [
+        ("2 g/s", 2e-3),
+        ("7.2kg/h", 2e-3),
+        ("120 Nl/min", 0.002 * 1.185),
+        ("0.12 m^3/min", 0.002 * 1.185),
+        ("0.002kg/s", 2e-3),
+    ],
+)
+def test_air_is_bounded_in_any_unit(text, kg_per_s):
+    assert bounded("kunt_singh_1990", f"air_use={text}").air_use == pytest.approx(kg_per_s, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("2", 'air_use: found \'2\' without a unit, expected "2 g/s" or "100 Nl/min"'),
+        ("2mm", "air_use: found '2mm', a length, expected a mass flow"),
+    ],
+)
+def test_air_without_its_unit(text, says):
+    with pytest.raises(ValueError, match=says):
+        bounded("kunt_singh_1990", f"air_use={text}")
+
+
+def test_a_liquid_has_no_normal_litres():
+    with pytest.raises(ValueError, match="expected a mass flow"):
+        bounded("hydraulic_4_2", "air_use=2 Nl/min")

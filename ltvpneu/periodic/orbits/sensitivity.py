@@ -35,7 +35,7 @@ from ltvpneu.periodic.orbits.orbit import Orbit
 from ltvpneu.periodic.orbits.steady import periodic_states, steady_state
 from ltvpneu.periodic.orbits.variation import Variation, varied
 from ltvpneu.periodic.systems.signals import signal_index
-from ltvpneu.periodic.systems.system import PeriodicSystem
+from ltvpneu.periodic.systems.system import PeriodicSystem, expect_system
 
 
 @final
@@ -348,6 +348,7 @@ def sensitivity(system: PeriodicSystem) -> Sensitivity:
     StepOverflowError
         A step grows by more than double precision holds, or states are too stiff and too strongly coupled for it.
     """
+    expect_system(system)
     steady_state(system)
     return Sensitivity(system=system)
 
