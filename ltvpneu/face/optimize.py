@@ -40,6 +40,13 @@ DUTIES = np.linspace(0.05, 0.95, 19)
 """At which it is looked what positions a duty holds."""
 
 
+SLOPES = (
+    "supply_pressure", "exhaust_pressure", "load.mass", "load.force", "load.dry_friction", "load.spring_stiffness",
+    "load.viscous_damping",
+)  # fmt: skip
+"""Parameters over which the best objective is differentiated."""
+
+
 class Request(NamedTuple):
     """What was asked for, parsed."""
 
@@ -122,8 +129,17 @@ def run_request(machine: Machine, request: Request, *, model: Any, globally: boo
             model=model,
             globally=globally,
             correct=True,
+            slopes=_slopes_shown(machine, request),
             progress=progress,
         )
+
+
+def _slopes_shown(machine: Machine, request: Request) -> list[str]:
+    """Return parameters of which it is shown how the optimum depends on them: numbers that are there and not free."""
+    from ltvpneu.models.machine.parameters import present_value
+
+    at = request.frequency[0] if isinstance(request.frequency, tuple) else request.frequency
+    return [name for name in SLOPES if name not in (request.variables or {}) and present_value(machine, at, name) != 0]
 
 
 @contextmanager
@@ -214,9 +230,26 @@ def optimum_text(found: "DutySolution") -> str:
         if corrected:
             header[2], header[3] = "nonlinear machine", "corrected"
         parts += [heading("Goals [SI units]"), table(header, rows)]
+    parts += _slopes_text(corrected or found)
     if found.active:
         parts.append(f"\nactive: {', '.join(found.active)}")
     return "\n".join(parts)
+
+
+def _slopes_text(found: "DutySolution") -> list[str]:
+    """Return what one percent more of each parameter does to the best objective; nothing where that is not known."""
+    from ltvpneu.models.machine.parameters import present_value
+
+    rows: list[list[str]] = []
+    for name, slope in found.slopes.items():
+        value = present_value(found.machine, found.frequency, name)
+        if np.isfinite(slope) and found.objective:
+            share = 0.01 * value * slope / abs(found.objective)
+            rows.append([name, setting_shown(name, value, found.machine.ambient_pressure), f"{100 * share:+.2g} %"])
+    if not rows:
+        return []
+    title = "What the best depends on, the settings following"
+    return [heading(title), table(["parameter", "now", "1 % more changes the objective by"], rows)]
 
 
 def _unheld(found: "DutySolution") -> str:
@@ -306,6 +339,7 @@ def optimum_data(found: "DutySolution") -> dict[str, Any]:
             "at_kink": one.at_kink,
             "not_corrected": one.not_corrected,
             "duals": {name: known(value) for name, value in one.duals.items()},
+            "slopes": {name: known(value) for name, value in one.slopes.items()},
             "active": list(one.active),
             "missed_by": {name: known(value) for name, value in one.constraints.items()},
             "nonlinear_missed_by": {name: known(value) for name, value in one.nonlinear_constraints.items()},

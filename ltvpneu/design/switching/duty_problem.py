@@ -140,6 +140,7 @@ class DutyProblem:
         tolerance: float = 1e-6,
         max_iterations: int = 100,
         globally: bool = False,
+        slopes: Sequence[str] = (),
         progress: Progress | None = None,
     ) -> DutySolution:
         """Solve by sequential convex programming.
@@ -164,6 +165,9 @@ class DutyProblem:
         max_iterations : int
         globally : bool
             Look at every part of the bounds, for one or two variables, and return a lower bound too.
+        slopes : sequence of str
+            Numbers of the machine, as in `parameter_sensitivity`, over which the best objective is differentiated:
+            `DutySolution.slopes`.
         progress : callable, optional
             Called with a text and a share done, 0 to 1.
 
@@ -176,6 +180,8 @@ class DutyProblem:
         LtvpneuError
             No setting looked at has a cycle: the last one's reason.
         """
+        for name in slopes:
+            present_value(self.machine, self.frequency, name)
         search = self.search(objective, constraints, model, steps_per_piece)
         if globally:
             found, lower = search_globally(search, tolerance, max_iterations, progress)
@@ -186,7 +192,8 @@ class DutyProblem:
             else:
                 found = search_locally(search, self.own_setting, n_starts, limits, progress)
         found = nearest(search, found, tolerance, max_iterations, progress)
-        return self._solution(found, search.subproblem, lower, ranges_of(search.noted))
+        worth = self._value_slopes(found, search.subproblem, self._cycles(model, steps_per_piece), slopes)
+        return self._solution(found, search.subproblem, lower, ranges_of(search.noted), worth)
 
     def search(
         self, objective: cp.Minimize | cp.Maximize, constraints: Constraints, model: ModelKind, steps_per_piece: int
@@ -265,6 +272,26 @@ class DutyProblem:
                 found[i] = BlockFigures(figures, rows, widths, block.scale)
         return [one for one in found if one is not None]
 
+    def _value_slopes(
+        self, found: Found, subproblem: Subproblem, cycles: Mapping[str, Cycles], names: Sequence[str]
+    ) -> dict[str, float]:
+        """Return the derivatives of the best objective over parameters.
+
+        By the envelope theorem they are those of the Lagrangian with the settings held: the figures' own derivatives,
+        each times what one more unit of the figure costs.
+        """
+        if not names or found.status != "optimal":
+            return dict.fromkeys(names, math.nan)
+        values = self.values_at(found.setting)
+        values |= {name: present_value(self.machine, self.frequency, name) for name in names if name not in values}
+        total, first = np.zeros(len(names)), 0
+        for block in self._blocks:
+            jacobian = cycles[block.scenario].figures(values, block.figures, list(names)).jacobian
+            rows = slice(first, first + len(block.figures))
+            first = rows.stop
+            total += found.figure_duals[rows] @ jacobian / block.scale
+        return {name: subproblem.in_user_units(float(one)) for name, one in zip(names, total, strict=True)}
+
     def _given(self, start: Mapping[str, float]) -> FloatArray:
         for name, value in start.items():
             if name not in self.bounds:
@@ -280,7 +307,12 @@ class DutyProblem:
         return np.clip(np.array(shares), 0.0, 1.0)
 
     def _solution(
-        self, found: Found, subproblem: Subproblem, lower: float, ranges: Mapping[str, float]
+        self,
+        found: Found,
+        subproblem: Subproblem,
+        lower: float,
+        ranges: Mapping[str, float],
+        slopes: dict[str, float],
     ) -> DutySolution:
         values = self.values_at(found.setting)
         machine, frequency = with_values(self.machine, values), float(values.get("frequency", self.frequency))
@@ -309,6 +341,7 @@ class DutyProblem:
             tolerances=tolerances,
             nonlinear_objective=nonlinear[0] if found.status != "infeasible" else math.nan,
             duals=found.duals,
+            slopes=slopes,
             active=found.active + self._at_bounds(found.setting),
             residual=found.residual,
             at_kink=found.at_kink,

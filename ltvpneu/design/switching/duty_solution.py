@@ -40,6 +40,9 @@ class DutySolution(Value):
     duals: dict[str, float]
     """Of the constraints: how fast the objective gets better as an inequality's bound is loosened, never below zero, or
     as the right side of an equation rises, in its own unit."""
+    slopes: dict[str, float]
+    """How fast the best objective changes with parameters that were asked for, the settings following; nan where the
+    status is not "optimal"."""
     active: tuple[str, ...]
     """Constraints, and bounds of variables, that hold the design."""
     residual: float

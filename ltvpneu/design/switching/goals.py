@@ -1,6 +1,6 @@
 """Duty cycle, offset and frequency for a wanted motion: the usual goals, written down for `duty_problem`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any, final
@@ -67,6 +67,7 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     steps_per_piece: int = 1,
     globally: bool = False,
     correct: bool = False,
+    slopes: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> DutySolution:
     """Return the duty, or other switching angles, frequency and pressures, that reach a wanted motion best.
@@ -90,7 +91,7 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
         The two most usual goals, as of `Goals`.
     scenarios, valve
         As of `duty_problem`.
-    model, steps_per_piece, globally, progress
+    model, steps_per_piece, globally, slopes, progress
         As of `DutyProblem.solve`.
     correct : bool
         Go on from the linear model's optimum on the nonlinear machine; the result is in `.corrected`, or why there is
@@ -140,12 +141,15 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
         model=model,
         steps_per_piece=steps_per_piece,
         globally=globally,
+        slopes=slopes,
         progress=progress,
     )
     if not correct or model == "nonlinear":
         return found
     try:
-        corrected = problem.solve(objective, constraints, model="nonlinear", start=found.values, progress=progress)
+        corrected = problem.solve(
+            objective, constraints, model="nonlinear", start=found.values, slopes=slopes, progress=progress
+        )
     except (LtvpneuError, ValueError) as error:
         return replace(found, not_corrected=str(error))
     return replace(found, corrected=corrected)

@@ -66,6 +66,8 @@ class Found:
     status: str = "stopped"
     residual: float = np.inf
     duals: dict[str, float] = field(default_factory=dict[str, float])
+    figure_duals: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """What one more unit of each figure costs, scaled."""
     active: tuple[str, ...] = ()
     merits: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     n_cycles: int = 0
@@ -308,6 +310,7 @@ class _State:
         found = self.found
         found.residual, answer = self._residual(found.setting, found.figures)
         found.at_kink = self.mixture is not None
+        found.figure_duals = answer.figure_duals
         found.duals = self.sub.user_duals(answer.duals) if self.sub.has_objective else {}
         found.active = tuple(
             name for name, dual in answer.duals.items() if float(np.max(np.abs(dual), initial=0.0)) > ACTIVE
