@@ -15,7 +15,7 @@ fixed durations whose state jumps: multipliers, norms, derivatives, regulators a
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,9 +116,15 @@ def _events(system: PeriodicSystem, events: Mapping[int, tuple[str | ArrayLike, 
     """Return the events in the order of their steps, checked."""
     n, scaled = system.n_states, system.scaled
     found: list[_Event] = []
+    given: Any = events
+    if not isinstance(given, Mapping):
+        raise TypeError(f"events: found {type(given).__name__}, expected a mapping, such as {{1: ('z1', 0.0)}}")
     for step in sorted(events):
         if not 0 <= step < system.n_steps:
             raise ValueError(f"events: found step {step}, expected 0 to {system.n_steps - 1}")
+        pair: Any = events[step]
+        if not isinstance(pair, tuple | list) or len(cast(Any, pair)) != 2:
+            raise ValueError(f"events[{step}]: found {pair!r}, expected (c, level), such as ('z1', 0.0)")
         c, level = events[step]
         row = np.eye(n)[signal_index(system.states, c)] if isinstance(c, str) else c
         row = finite_array(f"events[{step}]: c", row, (n,))
@@ -144,7 +150,7 @@ def _newton(
     n, state, durations = system.n_states, start.copy(), durations.copy()
     residual, slopes, sizes = _residual(system, events, state, durations)
     for _ in range(MOST_NEWTON):
-        error = float(np.max(np.abs(residual) / sizes))
+        error = _largest(residual, sizes)
         if not np.isfinite(slopes).all():
             return None
         if error <= CLOSED:
@@ -162,7 +168,7 @@ def _newton(
                 lengths[event.taker] -= more
             if (lengths >= 0).all():
                 tried = _residual(system, events, trial, lengths)
-                if float(np.max(np.abs(tried[0]) / tried[2])) < error or (share == 1.0 and error < 1e-9):
+                if _largest(tried[0], tried[2]) < error or (share == 1.0 and error < 1e-9):
                     break
             share /= 2
         else:
@@ -170,11 +176,16 @@ def _newton(
         before = error
         state, durations, (residual, slopes, sizes) = trial, lengths, tried
         # Rounding leaves no more to gain.
-        if before < 1e-10 and float(np.max(np.abs(residual) / sizes)) > before / 4:
+        if before < 1e-10 and _largest(residual, sizes) > before / 4:
             break
-    if float(np.max(np.abs(residual) / sizes)) > 1e-9 or not _are_first(system, events, state, durations):
+    if not _largest(residual, sizes) <= 1e-9 or not _are_first(system, events, state, durations):
         return None
     return state, durations
+
+
+def _largest(residual: FloatArray, sizes: FloatArray) -> float:
+    with np.errstate(invalid="ignore", over="ignore"):
+        return float(np.max(np.abs(residual) / sizes, initial=0.0))
 
 
 def _residual(
@@ -234,9 +245,10 @@ def _first_crossing(matrix: FloatArray, state: FloatArray, row: FloatArray, long
     count = GRID + min(int(8 * swings / np.pi), 100_000)
     small = forced_exponentials(matrix[None] * (longest / count), len(matrix) - 1)[0]
     values, at = np.empty(count + 1), state
-    for i in range(count + 1):
-        values[i] = row @ at
-        at = small @ at
+    with np.errstate(over="ignore", invalid="ignore"):
+        for i in range(count + 1):
+            values[i] = row @ at
+            at = small @ at
     # A start on the threshold is not a crossing.
     values[0] = 0.0 if abs(values[0]) <= 1e-12 * np.abs(row * state).max(initial=0.0) else values[0]
     signs = np.sign(values)
@@ -280,9 +292,10 @@ def _marched(
                 for later in range(event.taker, k, -1):
                     given_up = min(change, durations[later])
                     durations[later], change = durations[later] - given_up, change - given_up
-            state = jumps[k] @ forced_exponentials(matrices[k][None] * durations[k], n)[0] @ state
-        if not np.isfinite(state).all():
-            break
+            with np.errstate(over="ignore", invalid="ignore"):
+                state = jumps[k] @ forced_exponentials(matrices[k][None] * durations[k], n)[0] @ state
+            if not np.isfinite(state).all():
+                return begin, durations
         if np.max(np.abs(state - begin)[:n], initial=0.0) <= 1e-8 * np.max(np.abs(state[:n]), initial=0.0):
             break
     if missed is not None:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import FloatArray, finite_array, whole
+from ltvpneu.errors import StepOverflowError
 from ltvpneu.periodic.algebra.propagate import forced_exponentials
 from ltvpneu.periodic.systems import bridge
 from ltvpneu.periodic.systems.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
@@ -38,6 +39,11 @@ def response(
     control.TimeResponseData
         With named states and outputs; `.plot()` and `.to_pandas()` are python-control's.
 
+    Raises
+    ------
+    StepOverflowError
+        The response grows by more than double precision holds.
+
     Examples
     --------
     >>> import ltvpneu as lp
@@ -59,19 +65,21 @@ def response(
         np.linspace(0.0, duration, 1 + int(np.ceil(points_per_period * duration / system.period)))
         for duration in system.durations
     ]
-    maps = [
-        forced_exponentials(matrix * times[:, None, None], system.n_states)
-        for matrix, times in zip(steps.matrices, local_times, strict=True)
-    ]
     times, states, outputs = [], [], []
-    for period in range(n_periods):
-        for m, step in enumerate(maps):
-            reached = step @ state
-            state = system.scaled_jumps[m] @ reached[-1] if system.has_jumps else reached[-1]
-            inside = steps.physical(reached[:-1])
-            times.append(period * system.period + system.switching_times[m] + local_times[m][:-1])
-            states.append(inside)
-            outputs.append(inside @ system.C[m].T + system.output_bias[m])
+    with np.errstate(over="ignore", invalid="ignore"):
+        maps = [
+            forced_exponentials(matrix * times[:, None, None], system.n_states)
+            for matrix, times in zip(steps.matrices, local_times, strict=True)
+        ]
+        for period in range(n_periods):
+            for m, step in enumerate(maps):
+                reached = step @ state
+                state = system.scaled_jumps[m] @ reached[-1] if system.has_jumps else reached[-1]
+                inside = steps.physical(reached[:-1])
+                times.append(period * system.period + system.switching_times[m] + local_times[m][:-1])
+                states.append(inside)
+                outputs.append(inside @ system.C[m].T + system.output_bias[m])
+            _expect_finite(state, (period + 1) * system.period)
     last = steps.physical(state)
     times.append(np.array([n_periods * system.period]))
     states.append(last[None])
@@ -86,12 +94,21 @@ def response(
 
 def _discrete_response(system: DiscretePeriodicSystem, n_periods: int, state: FloatArray) -> "control.TimeResponseData":
     states = [state]
-    for _ in range(n_periods):
-        for A, f in zip(system.A, system.f, strict=True):
-            states.append(A @ states[-1] + f)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for period in range(n_periods):
+            for A, f in zip(system.A, system.f, strict=True):
+                states.append(A @ states[-1] + f)
+            _expect_finite(states[-1], (period + 1) * system.period)
     found = np.array(states)
     step = np.arange(len(found)) % system.n_steps
     outputs = (system.C[step] @ found[:, :, None])[:, :, 0] + system.output_bias[step]
     periods = np.arange(n_periods)[:, None] * system.period
     times = np.append((periods + system.switching_times[:-1]).ravel(), n_periods * system.period)
     return bridge.time_response(times, (system.states, found.T), (system.outputs, outputs.T), system.name)
+
+
+def _expect_finite(state: FloatArray, time: float) -> None:
+    if not np.isfinite(state).all():
+        raise StepOverflowError(
+            f"the response grows by more than double precision holds, up to t = {time:.6g} s; take fewer periods"
+        )

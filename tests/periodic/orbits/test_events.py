@@ -132,11 +132,20 @@ def test_a_threshold_that_is_not_reached_is_named() -> None:
         ({1: ([1.0], 0.0)}, r"events\[1\]: c: found shape \(1,\)"),
         ({1: ("z1", np.nan)}, r"events\[1\]: level: found nan"),
         ({}, "events: found none"),
+        ({1: "z1"}, r"events\[1\]: found 'z1', expected \(c, level\)"),
     ],
 )
 def test_bad_events(events: dict[int, tuple[str, float]], says: str) -> None:
     with pytest.raises(ValueError, match=says):
         lp.with_state_events(boost(), events)
+
+
+def test_what_is_no_mapping_or_grows_without_bound() -> None:
+    with pytest.raises(TypeError, match="events: found list, expected a mapping"):
+        lp.with_state_events(boost(), [("z1", 0.0)])  # pyright: ignore[reportArgumentType]
+    runaway = lp.PeriodicSystem.from_matrices([[[900.0]], [[900.0]]], [[1.0], [1.0]], [1.0, 1.0])
+    with pytest.raises(lp.NotConvergedError):
+        lp.with_state_events(runaway, {0: ("z1", -5.0)}, initial_state=[1.0])
 
 
 def test_other_functions_take_the_linearized_system() -> None:

@@ -95,3 +95,7 @@ def test_a_response_that_overflows_says_so() -> None:
     system = lp.PeriodicSystem.from_matrices([[[1e3]]], [[1.0]], [1.0], B=[[[1.0]]])
     with pytest.raises(lp.StepOverflowError, match="grows by more than double precision holds, up to t = 1"):
         lp.forced_response(system, [0.0, 1.0], [0.0, 0.0])
+    discrete = lp.DiscretePeriodicSystem.from_matrices([[[1e200]]], [[1.0]], [1.0])
+    for grows in (system, discrete):
+        with pytest.raises(lp.StepOverflowError, match="take fewer periods"):
+            lp.response(grows, n_periods=3, initial_state=[1.0])
