@@ -280,7 +280,7 @@ class DutyProblem:
         By the envelope theorem they are those of the Lagrangian with the settings held: the figures' own derivatives,
         each times what one more unit of the figure costs.
         """
-        if not names or found.status != "optimal":
+        if not names or found.status != "optimal" or found.at_kink:
             return dict.fromkeys(names, math.nan)
         values = self.values_at(found.setting)
         values |= {name: present_value(self.machine, self.frequency, name) for name in names if name not in values}

@@ -35,5 +35,10 @@ def test_slopes_are_not_known_without_an_optimum(table_1):
     assert found.status == "infeasible"
     assert math.isnan(found.slopes["load.force"])
     assert design.optimize_duty(table_1, 15.0, {"duty": (0.42, 0.46)}, mean={"position": 0.045}).slopes == {}
+    kink = design.optimize_duty(
+        table_1, (24.0, 27.0), slopes=["load.force"], **{**GOALS, "amplitude": {"position": 2e-3}}
+    )
+    assert (kink.status, kink.at_kink) == ("optimal", True)
+    assert math.isnan(kink.slopes["load.force"])
     with pytest.raises(ValueError, match=r"load\.forse"):
         design.optimize_duty(table_1, 15.0, mean={"position": 0.045}, slopes=["load.forse"])
