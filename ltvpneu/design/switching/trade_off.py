@@ -137,8 +137,8 @@ def trade_off(  # noqa: PLR0913 - keyword-only, each with its default
     problem = duty_problem(machine, frequency, variables, scenarios=scenarios, valve=valve)
     # A wanted mean is no constraint where the distance from it is an objective.
     kept = constraints_of(problem, goals, "mean_error" if "mean_error" in pair else pair[0])
-    return _Front(problem, kept, pair, (objective_of(problem, goals, pair[0]), objective_of(problem, goals, pair[1])),
-                  model).traced(points, progress)  # fmt: skip
+    objectives = objective_of(problem, goals, pair[0]), objective_of(problem, goals, pair[1])
+    return _Front(problem, kept, pair, objectives, model).traced(points, progress)
 
 
 class _Front:
@@ -167,7 +167,6 @@ class _Front:
         start = self._end(self.first, None)
         told(2)
         end = self._end(self.second, start.values)
-        # Of what is best for one, the best for the other: the least of the first with the second as it is.
         found, failures = [start], list[tuple[float, str]]()
         (_, most), (_, least) = self._values(start, self.model), self._values(end, self.model)
         if most - least <= NO_CONFLICT * max(abs(most), abs(least)):
