@@ -54,10 +54,9 @@ def operating_box(
     ------
     ValueError
         Limits out of order, outside the cylinder, or a pressure not above zero; a velocity where the tangent does not
-        depend on it, or none where it does. Or a machine with temperatures among
-        its states, or volumes that feed each other: there the entries of different rows change together (the same mass
-        leaves one and enters the other), and taken one by one their extremes make unstable matrices that the machine
-        never has.
+        depend on it, or none where it does. Or a machine with temperatures among its states, or volumes that feed each
+        other: there the entries of different rows change together (the same mass leaves one and enters the other), and
+        taken one by one their extremes make unstable matrices that the machine never has.
 
     Examples
     --------

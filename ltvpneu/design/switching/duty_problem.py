@@ -258,19 +258,26 @@ class DutyProblem:
 
     def _evaluate(self, cycles: Mapping[str, Cycles], setting: FloatArray) -> list[BlockFigures]:
         """Return the figures of every block, with derivatives over the setting, in the blocks' scales."""
-        values, widths = self.values_at(setting), np.array([high - low for low, high in self.bounds.values()])
-        found: list[BlockFigures | None] = [None] * len(self._blocks)
+        widths = np.array([high - low for low, high in self.bounds.values()])
+        found = self._figures(cycles, self.values_at(setting), list(self.bounds))
+        return [
+            BlockFigures(figures, rows, widths, block.scale)
+            for block, (figures, rows) in zip(self._blocks, found, strict=True)
+        ]
+
+    def _figures(
+        self, cycles: Mapping[str, Cycles], values: Mapping[str, float], parameters: Sequence[str]
+    ) -> list[tuple[CycleFigures, slice]]:
+        """Return each block's scenario's figures, and which of them are the block's; one cycle for every scenario."""
+        found: dict[int, tuple[CycleFigures, slice]] = {}
         for name, cycle in cycles.items():
             mine = [i for i, block in enumerate(self._blocks) if block.scenario == name]
             asked = [figure for i in mine for figure in self._blocks[i].figures]
-            figures = cycle.figures(values, asked, list(self.bounds))
-            first = 0
+            figures, first = cycle.figures(values, asked, parameters), 0
             for i in mine:
-                block = self._blocks[i]
-                rows = slice(first, first + len(block.figures))
-                first = rows.stop
-                found[i] = BlockFigures(figures, rows, widths, block.scale)
-        return [one for one in found if one is not None]
+                rows = slice(first, first + len(self._blocks[i].figures))
+                first, found[i] = rows.stop, (figures, rows)
+        return [found[i] for i in range(len(self._blocks))]
 
     def _value_slopes(
         self, found: Found, subproblem: Subproblem, cycles: Mapping[str, Cycles], names: Sequence[str]
@@ -285,11 +292,14 @@ class DutyProblem:
         values = self.values_at(found.setting)
         values |= {name: present_value(self.machine, self.frequency, name) for name in names if name not in values}
         total, first = np.zeros(len(names)), 0
-        for block in self._blocks:
-            jacobian = cycles[block.scenario].figures(values, block.figures, list(names)).jacobian
-            rows = slice(first, first + len(block.figures))
-            first = rows.stop
-            total += found.figure_duals[rows] @ jacobian / block.scale
+        try:
+            for block, (figures, rows) in zip(self._blocks, self._figures(cycles, values, names), strict=True):
+                duals = found.figure_duals[first : first + len(block.figures)]
+                first += len(block.figures)
+                total += duals @ figures.jacobian[rows] / block.scale
+        except (LtvpneuError, ValueError):
+            # The optimum stands, also where a cycle beside it cannot be followed.
+            return dict.fromkeys(names, math.nan)
         return {name: subproblem.in_user_units(float(one)) for name, one in zip(names, total, strict=True)}
 
     def _given(self, start: Mapping[str, float]) -> FloatArray:

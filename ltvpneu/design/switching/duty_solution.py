@@ -42,7 +42,8 @@ class DutySolution(Value):
     as the right side of an equation rises, in its own unit."""
     slopes: dict[str, float]
     """How fast the best objective changes with parameters that were asked for, the settings following; nan where the
-    status is not "optimal", or the optimum lies on a kink, where one side's derivatives do not tell."""
+    status is not "optimal", where the optimum lies on a kink, of which one side's derivatives do not tell, and where a
+    cycle beside it cannot be followed."""
     active: tuple[str, ...]
     """Constraints, and bounds of variables, that hold the design."""
     residual: float

@@ -13,8 +13,8 @@ from ltvpneu._arrays import ComplexArray, FloatArray, finite_array, read_only, s
 from ltvpneu._values import Value
 from ltvpneu.periodic.analysis.gramians import balanced_matrices
 from ltvpneu.periodic.analysis.lyapunov import from_reversed, step_gramians
-from ltvpneu.periodic.analysis.riccati import definite, jump_steps, root_of, semidefinite, stabilizing
-from ltvpneu.periodic.analysis.scattering import Scattering, continuous_steps
+from ltvpneu.periodic.analysis.riccati import definite, root_of, semidefinite, stabilizing
+from ltvpneu.periodic.analysis.scattering import Scattering, continuous_steps, free_steps
 from ltvpneu.periodic.systems.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
 from ltvpneu.periodic.systems.per_step import symmetric
 
@@ -138,8 +138,7 @@ def _dual_steps(system: AnyPeriodicSystem, noise: tuple[FloatArray, FloatArray],
     if not system.has_jumps:
         return steps
     # The dual runs backward: it meets the jump first.
-    jumps = jump_steps(system)
-    return Scattering(E=np.swapaxes(jumps.E, 1, 2), G=jumps.G, H=jumps.H).then(steps)
+    return free_steps(np.swapaxes(system.scaled_jumps[:, :n, :n], 1, 2)).then(steps)
 
 
 def _dual_parts(

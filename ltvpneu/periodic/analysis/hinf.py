@@ -20,7 +20,7 @@ import numpy as np
 from ltvpneu._arrays import FloatArray, positive, solved
 from ltvpneu.periodic.algebra.propagate import balancing_scales
 from ltvpneu.periodic.analysis.gramians import balanced_matrices, gramians
-from ltvpneu.periodic.analysis.scattering import Scattering, bounded_period, bounded_steps
+from ltvpneu.periodic.analysis.scattering import Scattering, bounded_period, bounded_steps, free_steps
 from ltvpneu.periodic.orbits.floquet import floquet
 from ltvpneu.periodic.systems.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
 from ltvpneu.periodic.systems.system import PeriodicSystem
@@ -104,7 +104,7 @@ def _steps(system: PeriodicSystem, gamma: float) -> Scattering | None:
     if steps is None:
         return None
     if system.has_jumps:
-        steps = steps.then(Scattering(E=jumps, G=np.zeros_like(jumps), H=np.zeros_like(jumps)))
+        steps = steps.then(free_steps(jumps))
     return steps
 
 

@@ -15,8 +15,8 @@ from ltvpneu._values import Value
 from ltvpneu.periodic.algebra.propagate import exponentials
 from ltvpneu.periodic.analysis.gramians import balanced_matrices
 from ltvpneu.periodic.analysis.lyapunov import step_gramians
-from ltvpneu.periodic.analysis.riccati import definite, jump_steps, root_of, semidefinite, stabilizing
-from ltvpneu.periodic.analysis.scattering import Scattering, continuous_steps
+from ltvpneu.periodic.analysis.riccati import definite, root_of, semidefinite, stabilizing
+from ltvpneu.periodic.analysis.scattering import Scattering, continuous_steps, free_steps
 from ltvpneu.periodic.systems.discrete import AnyPeriodicSystem, DiscretePeriodicSystem, expect_periodic
 from ltvpneu.periodic.systems.per_step import each_step, symmetric
 from ltvpneu.periodic.systems.system import PeriodicSystem
@@ -126,7 +126,9 @@ def lqr(
     if sampled:
         return _sampled_regulator(system, weights)
     steps = continuous_steps(*_hamiltonian_parts(system, weights), system.durations)
-    solution = stabilizing(steps.then(jump_steps(system)) if system.has_jumps else steps, system, "stabilizable")
+    if system.has_jumps:
+        steps = steps.then(free_steps(system.scaled_jumps[:, :-1, :-1]))
+    solution = stabilizing(steps, system, "stabilizable")
     scales = system.scaled.scales
     found = Regulator(
         system=system,

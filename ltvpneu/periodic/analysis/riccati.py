@@ -18,7 +18,6 @@ from ltvpneu.periodic.algebra.product import from_logs, log_multipliers
 from ltvpneu.periodic.analysis.scattering import Scattering, over_period
 from ltvpneu.periodic.orbits.floquet import floquet
 from ltvpneu.periodic.systems.discrete import AnyPeriodicSystem
-from ltvpneu.periodic.systems.system import PeriodicSystem
 
 
 class Solution(NamedTuple):
@@ -103,12 +102,6 @@ def _is_stabilizing(total: Scattering, X: FloatArray) -> bool:
 
 def _radius(matrix: FloatArray) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(matrix)), initial=0.0))
-
-
-def jump_steps(system: PeriodicSystem) -> Scattering:
-    """Return the jumps at the ends of all steps, which cost nothing, in balanced coordinates."""
-    jumps = system.scaled_jumps[:, :-1, :-1]
-    return Scattering(E=jumps, G=np.zeros_like(jumps), H=np.zeros_like(jumps))
 
 
 def semidefinite(name: str, stack: FloatArray) -> FloatArray:

@@ -76,6 +76,11 @@ class Scattering(Value):
         return _even(self.H + _transposed(self.E) @ X @ self.closed_loop(X))
 
 
+def free_steps(maps: FloatArray) -> Scattering:
+    """Return steps that map the state, (N, n, n), and cost nothing: jumps."""
+    return Scattering(E=maps, G=np.zeros_like(maps), H=np.zeros_like(maps))
+
+
 def continuous_steps(A: FloatArray, G: FloatArray, Q: FloatArray, durations: FloatArray) -> Scattering:
     """Return the steps of x' = A x - G p, -p' = Q x + A' p, exactly.
 

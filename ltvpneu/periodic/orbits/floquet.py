@@ -281,8 +281,7 @@ class Floquet(Value):
         """
         cuts = np.union1d(system.switching_times[:-1], times)
         durations = np.diff(np.append(cuts, system.period))
-        step, _ = system.step_at(cuts)
-        finer = system.with_parts(durations, step, np.append(np.diff(step) != 0, True))
+        finer = system.without_empty_steps().cut(cuts + durations / 2, durations)
         shapes = floquet(finer, least_margin=self.least_margin).mode_shapes[:, :, mode]
         # The same mode, up to a factor, which shows where it is longest.
         k = int(np.argmax(np.linalg.norm(self.mode_shapes[:, :, mode], axis=1)))

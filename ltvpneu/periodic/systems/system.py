@@ -265,7 +265,7 @@ class PeriodicSystem(Coefficients):
         kept[-1] = a.period
         durations = np.diff(kept)
         middles = kept[:-1] + durations / 2
-        return a._cut(middles, durations), b._cut(middles * (b.period / a.period), durations)
+        return a.cut(middles, durations), b.cut(middles * (b.period / a.period), durations)
 
     def _repeated(self, times: int) -> Self:
         """Return the system with several of its periods for one."""
@@ -274,7 +274,8 @@ class PeriodicSystem(Coefficients):
         steps = np.tile(np.arange(self.n_steps), times)
         return self.with_parts(np.tile(self.durations, times), steps, np.ones(steps.size, dtype=np.bool_))
 
-    def _cut(self, middles: FloatArray, durations: FloatArray) -> Self:
+    def cut(self, middles: FloatArray, durations: FloatArray) -> Self:
+        """Return the system in parts, each as long as given and with its middle there; no step is of no duration."""
         step, _ = self.step_at(middles)
         return self.with_parts(durations, step, np.append(np.diff(step) != 0, True))
 
