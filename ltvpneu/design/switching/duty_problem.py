@@ -47,7 +47,8 @@ Scenario = Callable[[Machine], Machine]
 NOMINAL = "nominal"
 KEPT_WITHIN = 0.01
 """Share of a goal that the nonlinear machine may break it by and still keeps it, see `DutySolution.tolerances` [-]."""
-
+LOOK_RTOL, LOOK_PERIODS = 1e-5, 400
+"""How settings are looked at before a search: integration tolerance, and valve periods simulated at most."""
 
 ModelKind = Literal["fitted", "self-consistent", "nonlinear"]
 
@@ -210,8 +211,11 @@ class DutyProblem:
             constraints=named_constraints(constraints),
             limits=self.limits,
         )
-        cycles = self._cycles(model, steps_per_piece)
-        return Search(subproblem=Subproblem(task), evaluate=lambda setting: self._evaluate(cycles, setting))
+        return Search(
+            subproblem=Subproblem(task),
+            evaluate=partial(self._evaluate, self._cycles(model, steps_per_piece)),
+            look=partial(self._evaluate, self._rough_cycles()),
+        )
 
     @property
     def own_setting(self) -> FloatArray:
@@ -248,13 +252,23 @@ class DutyProblem:
         whole("steps_per_piece", steps_per_piece)
         found: dict[str, Cycles] = {}
         for name in self.scenarios:
-            change = partial(self._changed, name) if name in self._changes else None
+            change = self._change_of(name)
             if model == "nonlinear":
                 found[name] = NonlinearCycles(self.machine, self.frequency, change)
             else:
                 mode: OwnCycle = model
                 found[name] = LinearCycles(self.machine, self.frequency, mode, steps_per_piece, change=change)
         return found
+
+    def _rough_cycles(self) -> dict[str, Cycles]:
+        """Return the machine's own cycles, integrated loosely, for settings that are only looked at."""
+        return {
+            name: NonlinearCycles(self.machine, self.frequency, self._change_of(name), LOOK_RTOL, LOOK_PERIODS)
+            for name in self.scenarios
+        }
+
+    def _change_of(self, name: str) -> Scenario | None:
+        return partial(self._changed, name) if name in self._changes else None
 
     def _evaluate(self, cycles: Mapping[str, Cycles], setting: FloatArray) -> list[BlockFigures]:
         """Return the figures of every block, with derivatives over the setting, in the blocks' scales."""

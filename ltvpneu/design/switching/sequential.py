@@ -20,7 +20,7 @@ are tried by that mixture, and the residual is that of Clarke's generalized grad
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import final
+from typing import NamedTuple, final
 
 import cvxpy as cp
 import numpy as np
@@ -49,6 +49,9 @@ MOST_FELT = 4
 """Settings up to which they are tried."""
 ROUNDING = 1e-9
 """Changes of the merit that the cycles' own accuracy does not tell from none [-]."""
+SAME_BASIN, MOST_FAILURES, MUCH_WORSE = 0.03, 1, 0.1
+"""While an optimum is known: distance from it at which a way is taken to lead there, as a share of the bounds; settings
+without a cycle that a way may come upon; and by how much worse a kink may be where it stops."""
 FIRST_CURVATURE = 0.1
 FEASIBLE = 1e-7
 """Scaled violation up to which a constraint counts as kept [-]."""
@@ -75,19 +78,35 @@ class Found:
     at_kink: bool = False
     first_broken: float = 0.0
     """Scaled violation at the start."""
+    is_left: bool = False
+    """Whether the search was left, as it would not have come to anything better than what was known."""
+
+
+class Rival(NamedTuple):
+    """An optimum that is known."""
+
+    setting: FloatArray
+    merit: float
+    """Scaled objective."""
 
 
 def best_from(
     search: Search, starts: Sequence[FloatArray], tolerance: float, max_iterations: int, progress: Progress | None
 ) -> Found:
-    """Go from each of several settings to a local optimum; return the best, one that keeps the constraints first."""
+    """Go from each of several settings to a local optimum; return the best, one that keeps the constraints first.
+
+    Once there is an optimum, ways that lead back to it, or to where the constraints cannot be kept, are left.
+    """
     best: tuple[float, float, Found] | None = None
+    rival: Rival | None = None
     reason: Exception | None = None
     for start in starts:
         for penalty in (FIRST_PENALTY, 1e3 * FIRST_PENALTY):
             search.subproblem.restore()
             try:
-                found = converge(search, start, tolerance, max_iterations, progress, penalty=penalty)
+                found = converge(
+                    search, start, tolerance, max_iterations, progress, penalty=penalty, rival=rival
+                )
             except (LtvpneuError, ValueError) as error:
                 # Other starts may do; if none does, this is the reason.
                 reason = error
@@ -97,6 +116,10 @@ def best_from(
             rank = (broken if broken > max(FEASIBLE, tolerance) else 0.0, merit)
             if best is None or rank < best[:2]:
                 best = (*rank, found)
+                if found.status == "optimal":
+                    rival = Rival(found.setting, merit)
+            if found.is_left:
+                break
             # A way that led out of what was allowed is walked again with more weight on staying.
             if rank[0] <= found.first_broken:
                 break
@@ -150,9 +173,9 @@ def feel_about(search: Search, found: Found, tolerance: float) -> Found:
 
 def converge(
     search: Search, begin: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None,
-    *, penalty: float = FIRST_PENALTY,
+    *, penalty: float = FIRST_PENALTY, rival: Rival | None = None,
 ) -> Found:  # fmt: skip
-    """Go from a setting to a local optimum."""
+    """Go from a setting to a local optimum; not all the way where it will not be better than a rival."""
     sub = search.subproblem
     begin = _projected(sub.task, begin)
     figures = search.with_slopes(begin)
@@ -161,14 +184,16 @@ def converge(
         raise search.reason
     sub.scale(begin, figures)
     state = _State(search, Found(setting=begin, figures=figures), tolerance, penalty)
-    state.found.first_broken = state.broken
+    found = state.found
+    found.first_broken = state.broken
     for number in range(max_iterations):
         if progress is not None:
             progress(f"step {number + 1}, residual {state.found.residual:.1e}", min(1.0, number / max_iterations))
-        if state.advance():
+        found.is_left = rival is not None and state.is_beaten_by(rival)
+        if found.is_left or state.advance():
             break
-    state.finish()
-    found = state.found
+    if not found.is_left:
+        state.finish()
     found.n_cycles, found.n_failed = search.n_cycles, search.n_failed
     return found
 
@@ -182,7 +207,7 @@ class _State:
         self.curvature, self.updated = FIRST_CURVATURE * np.eye(p), False
         self.radius, self.penalty, self.raised = FIRST_RADIUS, penalty, penalty
         self.blocked, self.collapsed = False, False
-        self.given_up = False
+        self.given_up, self.failures = False, 0
         self.beside: list[tuple[FloatArray, list[BlockFigures]]] = []
         """Settings that were left or refused, the last ones; and the mixture of their slopes with those here."""
         self.mixture: FloatArray | None = None
@@ -222,9 +247,20 @@ class _State:
                 return self._settled()
         return False
 
+    def is_beaten_by(self, rival: Rival) -> bool:
+        """Whether the way leads back to a rival, or to where the constraints cannot be kept, or on slowly."""
+        if not self.sub.has_objective or self.failures > MOST_FAILURES:
+            return True
+        if self.radius < AT_A_KINK and self.merit > rival.merit + MUCH_WORSE:
+            return True
+        apart = float(np.max(np.abs(self.found.setting - rival.setting)))
+        return apart <= SAME_BASIN and self.merit >= rival.merit - ROUNDING
+
     def _trial(self, answer: Answer) -> tuple[FloatArray, list[BlockFigures] | None]:
         setting = np.clip(self.found.setting + answer.step, 0.0, 1.0)
-        return setting, self.search.figures(setting)
+        figures = self.search.figures(setting)
+        self.failures += int(figures is None)
+        return setting, figures
 
     def _try(self, answer: Answer, setting: FloatArray, figures: list[BlockFigures] | None, foretold: float) -> bool:
         if figures is None:

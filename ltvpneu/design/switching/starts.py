@@ -8,14 +8,15 @@ from scipy.stats import qmc
 
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray
 from ltvpneu.design.switching.subproblem import Search, within_limits
-from ltvpneu.errors import LtvpneuError
 
 Progress = Callable[[str, float], object]
 REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
 """Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
 span, from which they are, and settings looked at at most."""
-RANKED_BY = (10.0, 300.0, 1e4)
-"""Penalties by which settings to start from are ranked."""
+RANKED_BY = (1e4, 300.0, 10.0)
+"""Penalties by which settings to start from are ranked; the highest first, for what keeps the constraints."""
+NEARLY_KEPT = 0.15
+"""Scaled violation beyond which a setting is not started from where others are nearer to keeping the constraints [-]."""
 STARTS_EACH = 3
 """Settings started from at most, by each ranking."""
 
@@ -53,7 +54,9 @@ def best_starts(search: Search, own: FloatArray, count: int, progress: Progress 
             lowest = _lower_than_neighbours(merits[1:].reshape(shape))
             good = [i for i in good if i == 0 or lowest.ravel()[i - 1]]
         chosen += [i for i in good[:STARTS_EACH] if i not in chosen]
-    return [looks[i].setting for i in chosen]
+    # From afar a way leads to where another start is nearer to: the constraints are kept there, if anywhere near.
+    least = min(looks[i].broken for i in chosen)
+    return [looks[i].setting for i in chosen if looks[i].broken <= max(2.0 * least, NEARLY_KEPT)]
 
 
 def starts_with_slopes(search: Search) -> list[FloatArray]:
@@ -75,21 +78,25 @@ class _Look(NamedTuple):
     merits: tuple[float, ...]
     """With each of the penalties of `RANKED_BY`."""
     values: FloatArray
+    broken: float
+    """Scaled violation of the constraints: by slopes, the share of the bounds that lies between it and keeping them."""
 
 
 def _look(search: Search, setting: FloatArray) -> _Look:
-    sub, nothing = search.subproblem, _Look(setting, (np.inf,) * len(RANKED_BY), np.zeros(0))
-    figures = search.figures(setting) if within_limits(sub.task, setting) else None
+    sub, nothing = search.subproblem, _Look(setting, (np.inf,) * len(RANKED_BY), np.zeros(0), np.inf)
+    figures = search.looked_at(setting) if within_limits(sub.task, setting) else None
     if figures is None:
         return nothing
-    try:
-        sub.scale(setting, figures)
-    except (LtvpneuError, ValueError):
-        # No derivatives, as where switching instants change their order.
-        return nothing
+    if not sub.is_scaled:
+        # By derivatives, which there are none of where switching instants change their order.
+        exact = search.with_slopes(setting)
+        if exact is None:
+            return nothing
+        sub.scale(setting, exact)
     search.note(setting, figures)
-    merits = tuple(sub.merit(setting, figures, penalty)[0] for penalty in RANKED_BY)
-    return _Look(setting, merits, np.concatenate([one.values for one in figures]) if figures else np.zeros(1))
+    objective, broken = sub.merit(setting, figures, 0.0)
+    values = np.concatenate([one.values for one in figures]) if figures else np.zeros(1)
+    return _Look(setting, tuple(objective + penalty * broken for penalty in RANKED_BY), values, broken)
 
 
 def _refined(search: Search, looks: list[_Look], progress: Progress | None) -> list[_Look]:

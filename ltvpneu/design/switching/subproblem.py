@@ -117,9 +117,10 @@ class Subproblem:
 
     def put(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> None:
         """Give the expressions the values that figures have at a setting."""
-        self.task.setting.value = setting
+        # Without cvxpy's checks of the values: variables of real numbers have any.
+        self.task.setting.save_value(setting)
         for block, one in zip(self.task.blocks, figures, strict=True):
-            block.variable.value = one.values
+            block.variable.save_value(one.values)
 
     def measured(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> tuple[float, dict[str, float]]:
         """Return the objective, and by how much each constraint is broken, in the user's units."""
@@ -158,6 +159,11 @@ class Subproblem:
         for name, constraint in self.task.constraints.items():
             self._sizes[name] = max(self._size(cast(Any, constraint).expr, slopes), 1e-300)
         self._build()
+
+    @property
+    def is_scaled(self) -> bool:
+        """Whether `scale` has been called."""
+        return bool(self._sizes)
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -250,8 +256,12 @@ class Subproblem:
         """
         values, slopes = linear
         if self.n_figures:
-            self._values.value, self._slopes.value = values, slopes
-        self._at.value, self._root.value, self._radius.value, self._penalty.value = setting, root, radius, penalty
+            self._values.save_value(values)
+            self._slopes.save_value(slopes)
+        self._at.save_value(setting)
+        self._root.save_value(root)
+        self._radius.save_value(radius)
+        self._penalty.save_value(penalty)
         problem = self._problems[self._weight > 0]
         try:
             with warnings.catch_warnings():
@@ -324,6 +334,8 @@ class Search:
     subproblem: Subproblem
     evaluate: Callable[[FloatArray], list[BlockFigures]]
     """From a setting, shares of the bounds, to the figures of every block."""
+    look: Callable[[FloatArray], list[BlockFigures]]
+    """Likewise, cheaply: on the nonlinear machine, loosely integrated, without derivatives."""
     n_cycles: int = 0
     n_failed: int = 0
     reason: LtvpneuError | ValueError | None = None
@@ -354,8 +366,17 @@ class Search:
 
     def figures(self, setting: FloatArray) -> list[BlockFigures] | None:
         """Return the figures at a setting; None where a model has no cycle there."""
+        return self._found(self.evaluate, setting)
+
+    def looked_at(self, setting: FloatArray) -> list[BlockFigures] | None:
+        """Return the figures at a setting, roughly; None where the machine has no cycle there."""
+        return self._found(self.look, setting)
+
+    def _found(
+        self, evaluate: Callable[[FloatArray], list[BlockFigures]], setting: FloatArray
+    ) -> list[BlockFigures] | None:
         try:
-            found = self.evaluate(setting)
+            found = evaluate(setting)
         except (LtvpneuError, ValueError) as error:
             self.n_failed += 1
             self.reason = error
@@ -366,7 +387,7 @@ class Search:
 
 def within_limits(task: Task, setting: FloatArray) -> bool:
     """Whether a setting keeps the limits."""
-    task.setting.value = setting
+    task.setting.save_value(setting)
     return all(bool(np.all(_violation(limit) <= 1e-9)) for limit in task.limits.values())
 
 

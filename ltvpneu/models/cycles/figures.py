@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple, final
 
+import numpy as np
+
 from ltvpneu._arrays import FloatArray
 from ltvpneu._values import Value
 from ltvpneu.models.linear.model import LtvModel
@@ -37,7 +39,8 @@ class Slopes(NamedTuple):
 
     jacobian: FloatArray
     """(n_figures, n_parameters)"""
-    spectral_radius: float
+    map_: FloatArray
+    """Of the cycle's scaled start over its own period, (n, n)."""
 
 
 @final
@@ -52,6 +55,8 @@ class CycleFigures(Value):
     """(n_figures,)"""
     initial_state: FloatArray
     """(n,)"""
+    n_periods: int
+    """Valve periods after which it repeats."""
     differentiate: Callable[[], Slopes]
     find_model: Callable[[], LtvModel] | None = None
     """Of a linear model, what returns it."""
@@ -75,4 +80,9 @@ class CycleFigures(Value):
     @property
     def spectral_radius(self) -> float:
         """Of the derivative of the map over the cycle's own period: below one, small deviations die out."""
-        return self.slopes.spectral_radius
+        return float(np.max(np.abs(np.linalg.eigvals(self.slopes.map_))))
+
+    @property
+    def is_differentiated(self) -> bool:
+        """Whether the derivatives have been worked out."""
+        return "slopes" in self.__dict__

@@ -119,7 +119,7 @@ class LinearCycle(Value):
 
         def differentiate() -> Slopes:
             along = np.tile(slopes(), (self.n_turns, 1))
-            of_means, of_probes, radius = differ.slopes(along, parameters)
+            of_means, of_probes, map_ = differ.slopes(along, parameters)
             jacobian = np.empty((len(asked), len(parameters)))
             for row, (k, column) in enumerate(rows):
                 jacobian[row] = of_means[column] if k is None else of_probes[k, column]
@@ -129,13 +129,14 @@ class LinearCycle(Value):
                     own = along[:cell].sum(axis=0) + share * along[cell]
                     turned = asked[row].angle / (2 * np.pi) * (along.sum(axis=0) / self.n_turns)
                     jacobian[row] += base.rates[k, column] * (turned - own)
-            return Slopes(jacobian * sizes[:, None], radius)
+            return Slopes(jacobian * sizes[:, None], map_)
 
         return CycleFigures(
             machine=self.question.machine,
             frequency=self.question.frequency,
             values=np.array(values) * sizes,
             initial_state=self.initial_state,
+            n_periods=self.n_turns,
             differentiate=differentiate,
             find_model=lambda: self.model,
         )
@@ -226,8 +227,8 @@ class _Differences:
         wide = np.broadcast_to(width, self.durations.shape)
         return (whole[0] - whole[1]) / wide[:, None], (up.values - down.values) / wide[self.probes.cells][:, None]
 
-    def slopes(self, along: FloatArray, parameters: Sequence[str]) -> tuple[FloatArray, FloatArray, float]:
-        """Return how means and flow, (n + 1, p), and values at the probes, (K, n, p), follow parameters; and a radius.
+    def slopes(self, along: FloatArray, parameters: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return how means and flow, (n + 1, p), and values at the probes, (K, n, p), follow parameters; and the map.
 
         `along` is how the cells' durations do, (N, p). Places keep their share of the cell.
         """
@@ -240,7 +241,7 @@ class _Differences:
             if name != "frequency" and not is_angle(name):
                 direct[:, :, column], probe_direct[:, :, column] = self._by_parameter(name)
         moved = by_duration[:, :, None] * along[:, None, :] + direct
-        start, radius = _periodic(by_start[:, :n], moved[:, :n])
+        start, map_ = _periodic(by_start[:, :n], moved[:, :n])
         changes = np.empty((N, n, p))
         for c in range(N):
             changes[c] = start
@@ -252,7 +253,7 @@ class _Differences:
         of_probes = (
             probe_by_start @ changes[cells] + probe_by_duration[:, :, None] * along[cells][:, None, :] + probe_direct
         )
-        return of_means, of_probes, radius
+        return of_means, of_probes, map_
 
     def _by_start(self) -> tuple[FloatArray, FloatArray]:
         """Return slopes over the cells' starts, (N, 2 n + 1, n) and of the probes (K, n, n)."""
@@ -309,11 +310,11 @@ def _row(figure: Figure, probe: int | None, n: int) -> tuple[int | None, int]:
     return (None, n) if figure.kind == "air_use" else (probe, figure.state)
 
 
-def _periodic(maps: FloatArray, moved: FloatArray) -> tuple[FloatArray, float]:
-    """Return the change of the cycle's start, (n, p), and the spectral radius of the map over it."""
+def _periodic(maps: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the change of the cycle's start, (n, p), and the map over it, (n, n)."""
     n = maps.shape[1]
     whole, free = np.eye(n), np.zeros(moved.shape[1:])
     for one, extra in zip(maps, moved, strict=True):
         whole, free = one @ whole, one @ free + extra
     start: FloatArray = np.linalg.solve(np.eye(n) - whole, free).astype(np.float64)
-    return start, float(np.max(np.abs(np.linalg.eigvals(whole))))
+    return start, whole

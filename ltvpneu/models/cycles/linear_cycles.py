@@ -13,12 +13,13 @@ from ltvpneu.models.cycles.turns import TOLERANCE
 from ltvpneu.models.linear.operating_points import LEAST_DISTANCE
 from ltvpneu.models.linear.own_cycle import OwnCycle, Question
 from ltvpneu.models.linear.plan import new_steps
-from ltvpneu.models.linear.repeat import Repeated, repeat_march
+from ltvpneu.models.linear.repeat import SAFE_RADIUS, Repeated, repeat_march
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import STEP, around, is_angle, with_values
 
-MOST_PERIODS = 300
-"""Valve periods marched for a cycle; what takes longer, as in chaos, counts as none."""
+MOST_PERIODS, SOME_PERIODS, FEW_PERIODS = 300, 60, 12
+"""Valve periods marched for a cycle from rest; what takes longer, as in chaos, counts as none. From the cycle before,
+and from one beside whose map is known."""
 
 
 @final
@@ -52,6 +53,9 @@ class LinearCycles:
         self.mode: OwnCycle = mode
         self.steps_per_piece = steps_per_piece
         self._start: FloatArray | None = None
+        self._latest: CycleFigures | None = None
+        self._known: tuple[FloatArray, FloatArray] | None = None
+        """Start of a cycle beside that attracts, (n,), and the inverse of I - P_z there, scaled, (n, n)."""
         self._edge_slopes: dict[str, tuple[FloatArray, FloatArray]] = {}
 
     def question(self, values: Mapping[str, float]) -> Question:
@@ -84,13 +88,17 @@ class LinearCycles:
         plan = question.plan(cells, TOLERANCE)
         steps = new_steps(plan)
 
-        def from_start(start: FloatArray) -> Repeated:
-            return repeat_march(np.append(start / plan.scales, 1.0), plan, steps, 10 * TOLERANCE, MOST_PERIODS)
+        def from_start(start: FloatArray, most: int, known: FloatArray | None = None) -> Repeated:
+            scaled = np.append(start / plan.scales, 1.0)
+            return repeat_march(scaled, plan, steps, 10 * TOLERANCE, most, known=known)
 
-        rest = question.machine.rest_state
-        repeated = from_start(rest if self._start is None else self._start)
-        if repeated.n_periods == 0 and self._start is not None:
-            repeated = from_start(rest)
+        known, repeated = self._beside(), None
+        if known is not None:
+            repeated = from_start(known[0], FEW_PERIODS, known[1])
+        if (repeated is None or repeated.n_periods == 0) and self._start is not None:
+            repeated = from_start(self._start, SOME_PERIODS)
+        if repeated is None or repeated.n_periods == 0:
+            repeated = from_start(question.machine.rest_state, MOST_PERIODS)
         if repeated.n_periods == 0:
             raise NotConvergedError(
                 f"the {self.mode} model at {question.frequency:g} Hz and duty {question.machine.duty:.4g} has no cycle "
@@ -120,7 +128,18 @@ class LinearCycles:
             slopes = [self._slopes_of(cycle, name) for name in parameters]
             return np.array(slopes).reshape(len(parameters), cycle.cells.size - 1).T
 
-        return cycle.figures(figures, parameters, along)
+        self._latest = cycle.figures(figures, parameters, along)
+        return self._latest
+
+    def _beside(self) -> tuple[FloatArray, FloatArray] | None:
+        """Return the start and the inverse of the last cycle whose derivatives have been worked out."""
+        latest = self._latest
+        if latest is not None and latest.is_differentiated:
+            self._latest, self._known = None, None
+            if latest.n_periods == 1 and latest.spectral_radius < SAFE_RADIUS:
+                map_ = latest.slopes.map_
+                self._known = latest.initial_state, np.linalg.inv(np.eye(len(map_)) - map_).astype(np.float64)
+        return self._known
 
     def _slopes_of(self, cycle: LinearCycle, name: str) -> FloatArray:
         """Return how the durations of the cells of one turn follow a parameter [s], (n_cells,)."""

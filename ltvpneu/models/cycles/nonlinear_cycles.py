@@ -5,6 +5,7 @@ cycle's start. Slower than the linear model's, and the judge of it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -22,6 +23,9 @@ from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.models.nonlinear.polynomial import polynomial_extremes, trajectory_of
 from ltvpneu.periodic.orbits.orbit import Orbit
 
+ORBIT_TOLERANCE = 1e-7
+"""Scaled distance from the orbit at which a cycle counts as found, at the tightest [-]."""
+
 
 @final
 class NonlinearCycles:
@@ -34,10 +38,22 @@ class NonlinearCycles:
         Where it is no parameter [Hz].
     change : callable, optional
         What is made of the machine once its parameters are set: a scenario.
+    rtol : float
+        Of the integrations; derivatives ask for the default.
+    max_periods : int
+        Valve periods simulated for a cycle.
     """
 
-    def __init__(self, machine: Machine, frequency: float, change: Callable[[Machine], Machine] | None = None) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        frequency: float,
+        change: Callable[[Machine], Machine] | None = None,
+        rtol: float = TOLERANCE,
+        max_periods: int = 5000,
+    ) -> None:
         self.machine, self.frequency, self._change = machine.at(frequency), frequency, change
+        self.rtol, self.max_periods = rtol, max_periods
         self._start: FloatArray | None = None
 
     def _changed(self, machine: Machine) -> Machine:
@@ -45,19 +61,28 @@ class NonlinearCycles:
 
     def orbit(self, values: Mapping[str, float]) -> Orbit:
         """Return the cycle at a setting of the parameters; errors as of `nonlinear_orbit`."""
-        machine = self._changed(with_values(self.machine, values))
-        frequency = float(values.get("frequency", self.frequency))
-        method = DormandPrince(rtol=TOLERANCE)
+        return self._orbit_of(self._changed(with_values(self.machine, values)), self._frequency_of(values))
+
+    def _frequency_of(self, values: Mapping[str, float]) -> float:
+        return float(values.get("frequency", self.frequency))
+
+    def _orbit_of(self, machine: Machine, frequency: float) -> Orbit:
+        # Where it rests depends on how it came there: then, and after a failure, from the machine's own rest.
+        find = partial(
+            nonlinear_orbit,
+            method=DormandPrince(rtol=self.rtol),
+            tolerance=max(ORBIT_TOLERANCE, 0.1 * self.rtol),
+            max_periods=self.max_periods,
+        )
         if self._start is not None:
             try:
-                orbit = nonlinear_orbit(machine, frequency, self._start, method=method)
+                orbit = find(machine, frequency, self._start)
                 if orbit.is_isolated:
                     self._start = orbit.initial_state
                     return orbit
             except LtvpneuError:
                 pass
-        # Where it rests depends on how it came there: then, and after a failure, from the machine's own rest.
-        orbit = nonlinear_orbit(machine, frequency, method=method)
+        orbit = find(machine, frequency)
         self._start = orbit.initial_state
         return orbit
 
@@ -73,9 +98,9 @@ class NonlinearCycles:
         LtvpneuError
             As of `nonlinear_orbit`.
         """
-        plain, frequency = with_values(self.machine, values), float(values.get("frequency", self.frequency))
+        plain, frequency = with_values(self.machine, values), self._frequency_of(values)
         machine = self._changed(plain)
-        orbit = self.orbit(values)
+        orbit = self._orbit_of(machine, frequency)
         if not orbit.is_isolated:
             free = np.zeros((len(machine.states), 1))
             free[0] = 1.0
@@ -86,10 +111,12 @@ class NonlinearCycles:
                 free_directions=free,
             )
 
-        def of_turn(start: FloatArray, plain: Machine, frequency: float) -> FloatArray:
-            machine = self._changed(plain)
-            end, record = nonlinear_turn(start, machine, frequency, orbit.n_periods)
+        def of_machine(start: FloatArray, machine: Machine, frequency: float) -> FloatArray:
+            end, record = nonlinear_turn(start, machine, frequency, orbit.n_periods, self.rtol)
             return np.append(end, [_figure(record, machine, frequency, figure) for figure in figures])
+
+        def of_turn(start: FloatArray, plain: Machine, frequency: float) -> FloatArray:
+            return of_machine(start, self._changed(plain), frequency)
 
         start, n = orbit.initial_state.copy(), len(machine.states)
 
@@ -98,14 +125,14 @@ class NonlinearCycles:
             scales = machine.state_scales
             maps = by_state[:n] * scales / scales[:, None]
             by_start = scales[:, None] * np.linalg.solve(np.eye(n) - maps, by_parameter[:n] / scales[:, None])
-            radius = float(np.max(np.abs(np.linalg.eigvals(maps))))
-            return Slopes(by_parameter[n:] + by_state[n:] @ by_start, radius)
+            return Slopes(by_parameter[n:] + by_state[n:] @ by_start, maps)
 
         return CycleFigures(
             machine=machine,
             frequency=frequency,
-            values=of_turn(start, plain, frequency)[n:],
+            values=of_machine(start, machine, frequency)[n:],
             initial_state=start,
+            n_periods=orbit.n_periods,
             differentiate=differentiate,
         )
 

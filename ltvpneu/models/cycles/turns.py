@@ -72,10 +72,12 @@ def march_beside(
     return state[:-1] * scales, parts
 
 
-def nonlinear_turn(start: FloatArray, machine: Machine, frequency: float, n_periods: int) -> tuple[FloatArray, Record]:
-    """Integrate the nonlinear model over some periods, tightly; return where it gets to and the way there."""
+def nonlinear_turn(
+    start: FloatArray, machine: Machine, frequency: float, n_periods: int, rtol: float = TOLERANCE
+) -> tuple[FloatArray, Record]:
+    """Integrate the nonlinear model over some periods; return where it gets to and the way there."""
     pieces = pieces_of(machine.openings, 1 / frequency)
-    run = new_run(machine.record, integration_settings(machine, TOLERANCE), pieces)
+    run = new_run(machine.record, integration_settings(machine, rtol), pieces)
     state, records = start, list[Record]()
     for number in range(n_periods):
         outcome = integrate_period(state, run)

@@ -2,8 +2,8 @@
 
 As `settle` does for the nonlinear equations. Where the piston never rests, the steps' own maps tell how the end of the
 period follows its start, so that the start of the cycle is solved for and not waited for (Broyden's method, from
-the steps' maps with the operating points frozen). Where a leap leads to rest, to a cycle that does not attract by its
-own maps, or out of what can be marched, it is taken back: where the piston rests depends on how it came there.
+the steps' maps with the operating points frozen). Where a leap leads to rest, to a cycle that does not attract, or out
+of what can be marched, it is taken back: where the piston rests depends on how it came there.
 """
 
 import math
@@ -15,7 +15,7 @@ from ltvpneu._arrays import FloatArray
 from ltvpneu._clock import UNWATCHED, Watch, interruptible
 from ltvpneu._compiled import compiled
 from ltvpneu.models.linear.march import Marched, march_period
-from ltvpneu.models.linear.plan import Plan, Steps
+from ltvpneu.models.linear.plan import Plan, Steps, new_steps
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.periods import MAX_SUBHARMONIC, ROUNDING, is_settled, largest_change
@@ -24,8 +24,8 @@ from ltvpneu.periodic.algebra.small import exponential, multiply
 WAIT = 2
 """Periods marched before the cycle's start is solved for."""
 MAX_LEAPS = 40
-SAFE_RADIUS = 0.9
-"""Spectral radius of the steps' maps up to which a cycle that was leapt to is taken to attract [-]."""
+SAFE_RADIUS, STATE_STEP = 0.9, 1e-5
+"""Spectral radius up to which a cycle that was leapt to is taken to attract, and scaled step of its differences [-]."""
 FURTHEST = 2.0
 """Longest leap, scaled [-]."""
 LEAST_PRESSURE = 0.1
@@ -84,8 +84,24 @@ def _map_over(marched: Marched, steps: Steps) -> FloatArray:
     return _product(steps.matrices[: marched.n_steps], steps.durations[: marched.n_steps])[:-1, :-1]
 
 
-def _attracts(map_: FloatArray) -> bool:
-    return bool(np.isfinite(map_).all()) and bool(np.max(np.abs(np.linalg.eigvals(map_))) <= SAFE_RADIUS)
+def _attracts(begin: FloatArray, marched: Marched, plan: Plan, steps: Steps) -> bool:
+    """Whether the cycle from a start attracts: by the steps' maps, and if they say no, with the points following."""
+    map_ = _map_over(marched, steps)
+    if np.isfinite(map_).all() and not _rests(marched, steps) and _radius(map_) <= SAFE_RADIUS:
+        return True
+    beside = new_steps(plan)
+    for i in range(begin.size - 1):
+        moved = begin.copy()
+        moved[i] += STATE_STEP
+        end = march_period(moved, plan, beside)
+        if end.status != OK:
+            return False
+        map_[:, i] = (end.state - marched.state)[:-1] / STATE_STEP
+    return bool(np.isfinite(map_).all()) and _radius(map_) <= SAFE_RADIUS
+
+
+def _radius(map_: FloatArray) -> float:
+    return float(np.max(np.abs(np.linalg.eigvals(map_))))
 
 
 def _inverse_of_steps(map_: FloatArray) -> FloatArray | None:
@@ -135,18 +151,27 @@ def _may_leap(begin: FloatArray, move: FloatArray, tolerance: float) -> bool:
 class _Leaps:
     """The search for the start of the cycle: how far to leap from the start of the period marched last."""
 
-    def __init__(self, origin: FloatArray) -> None:
+    def __init__(self, origin: FloatArray, known: FloatArray | None) -> None:
         self.origin = origin
         """Where the march goes on from if leaps are taken back."""
         self.count, self.size = 0, math.inf
         """Leaps tried, below zero once they are given up, and the largest part of the last."""
-        self.inverse: FloatArray | None = None
+        self.is_known = known is not None
+        """Whether the inverse is that of a cycle beside, which knows of events too."""
+        self.inverse = known
         self.move, self.left = np.zeros(0), np.zeros(0)
 
     def take_back(self) -> FloatArray:
         """Give up leaping; return where to go on from."""
-        self.count = -1
+        self.count, self.is_known = -1, False
         return self.origin.copy()
+
+    def loses(self, marched: Marched, steps: Steps) -> bool:
+        """Whether a period after a leap is none to go on from."""
+        if self.count <= 0:
+            return False
+        rests = _is_held(marched, steps) if self.is_known else _rests(marched, steps)
+        return marched.status != OK or rests
 
     def next(self, begin: FloatArray, marched: Marched, steps: Steps) -> FloatArray | None:
         """Return how far to move the start of the period, (n,); None where the steps' maps do not tell."""
@@ -154,10 +179,8 @@ class _Leaps:
         left = marched.state[:n] - begin[:n]
         if self.count > 0 and self.inverse is not None:
             self.inverse = _learnt(self.inverse, self.move, self.left - left)
-        elif not _rests(marched, steps):
-            self.inverse = _inverse_of_steps(_map_over(marched, steps))
-        else:
-            self.inverse = None
+        elif not self.is_known:
+            self.inverse = None if _rests(marched, steps) else _inverse_of_steps(_map_over(marched, steps))
         if self.inverse is None:
             return None
         if self.count == 0:
@@ -167,10 +190,18 @@ class _Leaps:
         return self.move
 
 
-def repeat_march(
-    start: FloatArray, plan: Plan, steps: Steps, tolerance: float, max_periods: int, watch: Watch = UNWATCHED
+def repeat_march(  # noqa: PLR0913 - one call for one cycle
+    start: FloatArray,
+    plan: Plan,
+    steps: Steps,
+    tolerance: float,
+    max_periods: int,
+    watch: Watch = UNWATCHED,
+    known: FloatArray | None = None,
 ) -> Repeated:
     """March valve periods from a scaled augmented state until the state repeats, after one or more of them.
+
+    `known` is the inverse of I - P_z, (n, n) and scaled, of an attracting cycle beside that the start belongs to.
 
     Raises
     ------
@@ -178,7 +209,7 @@ def repeat_march(
     """
     n, ring, own = start.size - 1, MAX_SUBHARMONIC + 1, plan.copy()
     history, changes = np.empty((ring, n)), np.full((ring, ring), np.inf)
-    begin, leaps = start.copy(), _Leaps(start.copy())
+    begin, leaps = start.copy(), _Leaps(start.copy(), known)
     history[0] = begin[:n]
     done, n_marched, best, resting = 0, 0, math.inf, 0
     while True:
@@ -186,7 +217,7 @@ def repeat_march(
             outcome = march_period(begin, own, steps)
         done, n_marched = done + 1, n_marched + 1
         watch.tick(f"{n_marched} valve periods of linear steps marched")
-        leapt, taken_back = False, leaps.count > 0 and (outcome.status != OK or _rests(outcome, steps))
+        leapt, taken_back = False, leaps.loses(outcome, steps)
         following = outcome.state.copy()
         if not taken_back:
             if outcome.status != OK:
@@ -197,15 +228,16 @@ def repeat_march(
             resting = resting + 1 if _is_held(outcome, steps) else 0
             if period == 0 and resting > RESTING and best <= RESTLESS and _goes_to_and_fro(done, history, best):
                 period = 1
-            if period > 0 and (leaps.count <= 0 or _attracts(_map_over(outcome, steps))):
+            if period > 0 and (leaps.count <= 0 or _attracts(begin, outcome, own, steps)):
                 return Repeated(period, n_marched, best, begin, outcome)
             if n_marched >= max_periods:
                 return Repeated(0, n_marched, best, begin, outcome)
             last = leaps.size
-            move = leaps.next(begin, outcome, steps) if n_marched >= WAIT and leaps.count >= 0 else None
+            waited = n_marched >= WAIT or leaps.is_known
+            move = leaps.next(begin, outcome, steps) if waited and leaps.count >= 0 else None
             if move is not None:
                 leaps.size = float(np.max(np.abs(move)))
-                if leaps.size <= tolerance and _attracts(_map_over(outcome, steps)):
+                if leaps.size <= tolerance and _attracts(begin, outcome, own, steps):
                     return Repeated(1, n_marched, best, begin, outcome)
                 # Nor many without getting nearer, nor to a cycle that does not attract.
                 leapt = _may_leap(begin[:n], move, tolerance) and leaps.count <= MAX_LEAPS
