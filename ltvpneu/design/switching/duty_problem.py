@@ -47,7 +47,7 @@ Scenario = Callable[[Machine], Machine]
 NOMINAL = "nominal"
 KEPT_WITHIN = 0.01
 """Share of a goal that the nonlinear machine may break it by and still keeps it, see `DutySolution.tolerances` [-]."""
-LOOK_RTOL, LOOK_PERIODS = 1e-5, 400
+LOOK_RTOL, LOOK_PERIODS = 1e-5, 40
 """How settings are looked at before a search: integration tolerance, and valve periods simulated at most."""
 
 ModelKind = Literal["fitted", "self-consistent", "nonlinear"]

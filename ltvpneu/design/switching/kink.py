@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 
 from ltvpneu._arrays import FloatArray
 from ltvpneu.design.switching.subproblem import Answer, BlockFigures, Subproblem, stacked
@@ -15,8 +16,8 @@ from ltvpneu.errors import LtvpneuError
 
 BESIDE, DISTINCT = 1e-3, 1e-4
 """How far off settings beside may be, of the bounds, and by how much their slopes have to differ, relative [-]."""
-MOST_PIECES, MOST_MIXTURES, MIXINGS = 12, 10, 24
-"""Sides that are mixed at most, rounds in which another one is mixed in, and rounds of bisection in each."""
+MOST_PIECES, MOST_MIXTURES, SHARES = 12, 10, 1e-7
+"""Sides that are mixed at most, rounds in which another one is mixed in, and how well its share is found [-]."""
 
 
 class Here(NamedTuple):
@@ -69,15 +70,14 @@ def _pieces(here: Here, beside: Sequence[tuple[FloatArray, list[BlockFigures]]])
 
 
 def _between(here: Here, stack: FloatArray, weights: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the weights between two, by bisection, from which neither way foretells less."""
-    low, high = 0.0, 1.0
+    """Return the weights between two, from which neither way foretells less."""
     change = np.tensordot(other - weights, stack, 1)
-    for _ in range(MIXINGS):
-        share = 0.5 * (low + high)
+
+    def fall(share: float) -> float:
         answer = here.foretold(np.tensordot((1 - share) * weights + share * other, stack, 1))
-        if answer.figure_duals @ (change @ answer.step) > 0:
-            low = share
-        else:
-            high = share
-    share = 0.5 * (low + high)
+        return float(answer.figure_duals @ (change @ answer.step))
+
+    if fall(1.0) >= 0:
+        return other
+    share = float(brentq(fall, 0.0, 1.0, xtol=SHARES, disp=False)) if fall(0.0) > 0 else 0.0
     return (1 - share) * weights + share * other

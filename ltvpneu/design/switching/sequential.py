@@ -49,9 +49,11 @@ MOST_FELT = 4
 """Settings up to which they are tried."""
 ROUNDING = 1e-9
 """Changes of the merit that the cycles' own accuracy does not tell from none [-]."""
-SAME_BASIN, MOST_FAILURES, MUCH_WORSE = 0.03, 1, 0.1
-"""While an optimum is known: distance from it at which a way is taken to lead there, as a share of the bounds; settings
-without a cycle that a way may come upon; and by how much worse a kink may be where it stops."""
+BROKEN = 0.1
+"""Scaled violation, on top of twice the one at the start, from which on a way leads out of what is allowed [-]."""
+SAME_BASIN, MUCH_WORSE, MOST_FAILURES, MOST_REFUSED = 0.03, 0.1, 1, 2
+"""While an optimum is known: distance from it at which a way is taken to lead there, as a share of the bounds; by how
+much worse it may be where steps are refused; and how many settings without a cycle, and refused steps, end it."""
 FIRST_CURVATURE = 0.1
 FEASIBLE = 1e-7
 """Scaled violation up to which a constraint counts as kept [-]."""
@@ -78,8 +80,11 @@ class Found:
     at_kink: bool = False
     first_broken: float = 0.0
     """Scaled violation at the start."""
-    is_left: bool = False
-    """Whether the search was left, as it would not have come to anything better than what was known."""
+    left: str = ""
+    """Why the search was not gone through with: `BEATEN` or `LED_OUT`."""
+
+
+BEATEN, LED_OUT = "beaten", "led out"
 
 
 class Rival(NamedTuple):
@@ -88,6 +93,19 @@ class Rival(NamedTuple):
     setting: FloatArray
     merit: float
     """Scaled objective."""
+
+
+class Way(NamedTuple):
+    """How a search goes, and where it is left."""
+
+    penalty: float = FIRST_PENALTY
+    may_lead_out: bool = True
+    """Whether it may go on where it breaks the constraints more and more."""
+    rival: Rival | None = None
+    """What it has to beat."""
+
+
+WAY = Way()
 
 
 def best_from(
@@ -103,10 +121,9 @@ def best_from(
     for start in starts:
         for penalty in (FIRST_PENALTY, 1e3 * FIRST_PENALTY):
             search.subproblem.restore()
+            way = Way(penalty=penalty, may_lead_out=penalty > FIRST_PENALTY, rival=rival)
             try:
-                found = converge(
-                    search, start, tolerance, max_iterations, progress, penalty=penalty, rival=rival
-                )
+                found = converge(search, start, tolerance, max_iterations, progress, way)
             except (LtvpneuError, ValueError) as error:
                 # Other starts may do; if none does, this is the reason.
                 reason = error
@@ -118,10 +135,8 @@ def best_from(
                 best = (*rank, found)
                 if found.status == "optimal":
                     rival = Rival(found.setting, merit)
-            if found.is_left:
-                break
             # A way that led out of what was allowed is walked again with more weight on staying.
-            if rank[0] <= found.first_broken:
+            if found.left == BEATEN or (not found.left and rank[0] <= found.first_broken):
                 break
     search.subproblem.restore()
     if best is None:
@@ -164,7 +179,8 @@ def feel_about(search: Search, found: Found, tolerance: float) -> Found:
                 setting, figures, merit, moved = tried, there, new, True
         length *= 1.0 if moved else 0.5
     if setting is not found.setting:
-        state = _State(search, Found(setting=setting, figures=figures, merits=found.merits), tolerance, penalty)
+        found = Found(setting=setting, figures=figures, merits=found.merits)
+        state = _State(search, found, tolerance, Way(penalty=penalty))
         state.blocked = True
         state.finish()
         return state.found
@@ -172,10 +188,14 @@ def feel_about(search: Search, found: Found, tolerance: float) -> Found:
 
 
 def converge(
-    search: Search, begin: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None,
-    *, penalty: float = FIRST_PENALTY, rival: Rival | None = None,
-) -> Found:  # fmt: skip
-    """Go from a setting to a local optimum; not all the way where it will not be better than a rival."""
+    search: Search,
+    begin: FloatArray,
+    tolerance: float,
+    max_iterations: int,
+    progress: Progress | None = None,
+    way: Way = WAY,
+) -> Found:
+    """Go from a setting to a local optimum, or until the way is left."""
     sub = search.subproblem
     begin = _projected(sub.task, begin)
     figures = search.with_slopes(begin)
@@ -183,16 +203,16 @@ def converge(
         assert search.reason is not None
         raise search.reason
     sub.scale(begin, figures)
-    state = _State(search, Found(setting=begin, figures=figures), tolerance, penalty)
+    state = _State(search, Found(setting=begin, figures=figures), tolerance, way)
     found = state.found
     found.first_broken = state.broken
     for number in range(max_iterations):
         if progress is not None:
             progress(f"step {number + 1}, residual {state.found.residual:.1e}", min(1.0, number / max_iterations))
-        found.is_left = rival is not None and state.is_beaten_by(rival)
-        if found.is_left or state.advance():
+        found.left = state.is_to_leave()
+        if found.left or state.advance():
             break
-    if not found.is_left:
+    if not found.left:
         state.finish()
     found.n_cycles, found.n_failed = search.n_cycles, search.n_failed
     return found
@@ -201,13 +221,16 @@ def converge(
 class _State:
     """Where the iteration is."""
 
-    def __init__(self, search: Search, found: Found, tolerance: float, penalty: float) -> None:
+    def __init__(self, search: Search, found: Found, tolerance: float, way: Way) -> None:
+        self.way = way
         self.search, self.sub, self.found, self.tolerance = search, search.subproblem, found, tolerance
         p = found.setting.size
         self.curvature, self.updated = FIRST_CURVATURE * np.eye(p), False
-        self.radius, self.penalty, self.raised = FIRST_RADIUS, penalty, penalty
+        self.radius, self.penalty, self.raised = FIRST_RADIUS, way.penalty, way.penalty
         self.blocked, self.collapsed = False, False
-        self.given_up, self.failures = False, 0
+        self.given_up = False
+        self.failures, self.refused = 0, 0
+        """Settings without a cycle that were come upon, and steps refused since the last one taken."""
         self.beside: list[tuple[FloatArray, list[BlockFigures]]] = []
         """Settings that were left or refused, the last ones; and the mixture of their slopes with those here."""
         self.mixture: FloatArray | None = None
@@ -236,6 +259,7 @@ class _State:
             values = values - self.linear[1] @ (setting - found.setting)
             again = sub.ask(found.setting, (values, self.linear[1]), root, self.radius, self.penalty)
             taken = self._try(again, *self._trial(again), foretold)
+        self.refused = 0 if taken else self.refused + 1
         if not taken:
             self.radius = 0.25 * min(self.radius, float(np.max(np.abs(answer.step))))
             if self.radius < AT_A_KINK and self.mixture is None and self._along_a_kink(root):
@@ -247,14 +271,18 @@ class _State:
                 return self._settled()
         return False
 
-    def is_beaten_by(self, rival: Rival) -> bool:
-        """Whether the way leads back to a rival, or to where the constraints cannot be kept, or on slowly."""
-        if not self.sub.has_objective or self.failures > MOST_FAILURES:
-            return True
-        if self.radius < AT_A_KINK and self.merit > rival.merit + MUCH_WORSE:
-            return True
+    def is_to_leave(self) -> str:
+        """Return why the way is not to be gone on with; empty where it is."""
+        if not self.way.may_lead_out and self.broken > 2 * self.found.first_broken + BROKEN:
+            return LED_OUT
+        rival = self.way.rival
+        if rival is None:
+            return ""
         apart = float(np.max(np.abs(self.found.setting - rival.setting)))
-        return apart <= SAME_BASIN and self.merit >= rival.merit - ROUNDING
+        leads_back = apart <= SAME_BASIN and self.merit >= rival.merit - ROUNDING
+        is_stuck = self.refused > MOST_REFUSED and self.merit > rival.merit + MUCH_WORSE
+        given_up = not self.sub.has_objective or self.failures > MOST_FAILURES
+        return BEATEN if leads_back or is_stuck or given_up else ""
 
     def _trial(self, answer: Answer) -> tuple[FloatArray, list[BlockFigures] | None]:
         setting = np.clip(self.found.setting + answer.step, 0.0, 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray
-from ltvpneu.design.switching.subproblem import Search, within_limits
+from ltvpneu.design.switching.subproblem import Noted, Search, within_limits
 
 Progress = Callable[[str, float], object]
 REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
@@ -41,22 +41,28 @@ def best_starts(search: Search, own: FloatArray, count: int, progress: Progress 
         looks.append(_look(search, setting))
     if p == 1:
         looks[1:] = _refined(search, looks[1:], progress)
-    if not any(np.isfinite(look.merits).all() for look in looks):
+    if all(look.noted is None for look in looks):
         if search.reason is not None:
             raise search.reason
         return [own]
+    sub = search.subproblem
+    sub.widen(_sizes(looks))
+    objectives, broken = (np.full(len(looks), np.inf) for _ in range(2))
+    for i, look in enumerate(looks):
+        if look.noted is not None:
+            objectives[i], broken[i] = sub.worth(look.noted)
     shape = (side,) * p if p == 2 else (len(looks) - 1,)
     chosen: list[int] = []
-    for column in range(len(RANKED_BY)):
-        merits = np.array([look.merits[column] for look in looks])
+    for penalty in RANKED_BY:
+        merits = objectives + penalty * broken
         good = [int(i) for i in np.argsort(merits) if np.isfinite(merits[i])]
         if p <= 2:
             lowest = _lower_than_neighbours(merits[1:].reshape(shape))
             good = [i for i in good if i == 0 or lowest.ravel()[i - 1]]
         chosen += [i for i in good[:STARTS_EACH] if i not in chosen]
     # From afar a way leads to where another start is nearer to: the constraints are kept there, if anywhere near.
-    least = min(looks[i].broken for i in chosen)
-    return [looks[i].setting for i in chosen if looks[i].broken <= max(2.0 * least, NEARLY_KEPT)]
+    most = max(2.0 * float(np.min(broken[chosen])), NEARLY_KEPT)
+    return [looks[i].setting for i in chosen if broken[i] <= most]
 
 
 def starts_with_slopes(search: Search) -> list[FloatArray]:
@@ -72,18 +78,15 @@ def starts_with_slopes(search: Search) -> list[FloatArray]:
 
 
 class _Look(NamedTuple):
-    """What a setting looks like; infinite merits and no values where it has no cycle."""
+    """What a setting looks like; nothing noted and no values where it has no cycle."""
 
     setting: FloatArray
-    merits: tuple[float, ...]
-    """With each of the penalties of `RANKED_BY`."""
+    noted: Noted | None
     values: FloatArray
-    broken: float
-    """Scaled violation of the constraints: by slopes, the share of the bounds that lies between it and keeping them."""
 
 
 def _look(search: Search, setting: FloatArray) -> _Look:
-    sub, nothing = search.subproblem, _Look(setting, (np.inf,) * len(RANKED_BY), np.zeros(0), np.inf)
+    sub, nothing = search.subproblem, _Look(setting, None, np.zeros(0))
     figures = search.looked_at(setting) if within_limits(sub.task, setting) else None
     if figures is None:
         return nothing
@@ -93,10 +96,23 @@ def _look(search: Search, setting: FloatArray) -> _Look:
         if exact is None:
             return nothing
         sub.scale(setting, exact)
-    search.note(setting, figures)
-    objective, broken = sub.merit(setting, figures, 0.0)
     values = np.concatenate([one.values for one in figures]) if figures else np.zeros(1)
-    return _Look(setting, tuple(objective + penalty * broken for penalty in RANKED_BY), values, broken)
+    return _Look(setting, search.note(setting, figures), values)
+
+
+def _sizes(looks: Sequence[_Look]) -> dict[str, float]:
+    """Return how much objective, under an empty name, and constraints change over the bounds, if evenly.
+
+    By the range of the middle half, so that a few far ones count for nothing.
+    """
+    noted = [look.noted for look in looks if look.noted is not None]
+    tables = {"": np.array([[one.objective] for one in noted])}
+    tables |= {name: np.array([one.differences[name] for one in noted]) for name in noted[0].differences}
+    found: dict[str, float] = {}
+    for name, table in tables.items():
+        low, high = np.nanquantile(table, (0.25, 0.75), axis=0)
+        found[name] = float(np.nan_to_num(np.max(2.0 * (high - low), initial=0.0)))
+    return found
 
 
 def _refined(search: Search, looks: list[_Look], progress: Progress | None) -> list[_Look]:

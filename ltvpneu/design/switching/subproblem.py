@@ -150,7 +150,7 @@ class Subproblem:
     # -----------------------------------------------------------------------------------------------------
 
     def scale(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> None:
-        """Set the sizes of objective and constraints from their slopes at the first point, and build the problem."""
+        """Set the sizes of objective and constraints from their slopes at the first point."""
         if self._sizes:
             return
         self.put(setting, figures)
@@ -158,7 +158,15 @@ class Subproblem:
         self._sizes = {"": max(self._size(self._expression, slopes), 1e-300)}
         for name, constraint in self.task.constraints.items():
             self._sizes[name] = max(self._size(cast(Any, constraint).expr, slopes), 1e-300)
-        self._build()
+        self._problems = {}
+
+    def widen(self, sizes: Mapping[str, float]) -> None:
+        """Make the sizes no smaller than given ones, of the objective under an empty name.
+
+        Where the first point is a flat one its slopes tell too little.
+        """
+        self._sizes = {name: max(size, sizes.get(name, 0.0)) for name, size in self._sizes.items()}
+        self._problems = {}
 
     @property
     def is_scaled(self) -> bool:
@@ -173,15 +181,17 @@ class Subproblem:
     def measure_by(self, sizes: Mapping[str, float]) -> None:
         """Divide the constraints' violations by other sizes from now on, each in the constraint's own unit."""
         self._sizes = {"": self._sizes[""], **sizes}
-        self._build()
+        self._problems = {}
 
-    def differences(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> dict[str, FloatArray]:
-        """Return what the sides of each constraint differ by, left less right, in its own unit: (n_rows,)."""
+    def noted(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> "Noted":
+        """Return what objective and constraints are at a setting."""
         self.put(setting, figures)
-        return {
+        differences = {
             name: np.ravel(np.asarray(cast(Any, constraint).expr.value, dtype=np.float64))
             for name, constraint in self.task.constraints.items()
         }
+        equations = frozenset(name for name, one in self.task.constraints.items() if isinstance(one, Equality))
+        return Noted(setting, differences, equations, _number(self._expression))
 
     def magnitudes(self) -> dict[str, float]:
         """Return the larger of each constraint's sides, of what was put last, in its own unit."""
@@ -189,6 +199,10 @@ class Subproblem:
             name: max(float(np.max(np.abs(_array(side)), initial=0.0)) for side in cast(Any, constraint).args)
             for name, constraint in self.task.constraints.items()
         }
+
+    def worth(self, noted: "Noted") -> tuple[float, float]:
+        """Return the scaled objective, and the sum of the scaled violations, at a setting looked at."""
+        return noted.objective / self._sizes[""], self.distance(noted)
 
     def distance(self, noted: "Noted") -> float:
         """Return the sum of the scaled violations at a setting looked at."""
@@ -262,6 +276,8 @@ class Subproblem:
         self._root.save_value(root)
         self._radius.save_value(radius)
         self._penalty.save_value(penalty)
+        if not self._problems:
+            self._build()
         problem = self._problems[self._weight > 0]
         try:
             with warnings.catch_warnings():
@@ -324,6 +340,8 @@ class Noted(NamedTuple):
     """What the sides of each differ by, left less right: (n_rows,)."""
     equations: frozenset[str]
     """Names of those that are equations."""
+    objective: float = 0.0
+    """What is to be made small."""
 
 
 @final
@@ -343,11 +361,10 @@ class Search:
     noted: list[Noted] = field(default_factory=list[Noted])
     """The settings looked at before the search."""
 
-    def note(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> None:
-        """Remember what the constraints are at a setting looked at."""
-        constraints = self.subproblem.task.constraints
-        equations = frozenset(name for name, one in constraints.items() if isinstance(one, Equality))
-        self.noted.append(Noted(setting, self.subproblem.differences(setting, figures), equations))
+    def note(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> Noted:
+        """Remember what objective and constraints are at a setting looked at."""
+        self.noted.append(self.subproblem.noted(setting, figures))
+        return self.noted[-1]
 
     def with_slopes(self, setting: FloatArray) -> list[BlockFigures] | None:
         """Return the figures at a setting; None where a model has no cycle there, or its figures no slopes."""
