@@ -1,7 +1,9 @@
 """Local searches from the best of many settings, more of them where these lead to no optimum."""
 
+import numpy as np
+
 from ltvpneu._arrays import FloatArray, whole
-from ltvpneu.design.switching.sequential import Found, best_from, is_better
+from ltvpneu.design.switching.sequential import CLEARLY, Found, best_from, is_better
 from ltvpneu.design.switching.starts import Progress, best_starts, starts_with_slopes
 from ltvpneu.design.switching.subproblem import Search
 from ltvpneu.errors import LtvpneuError
@@ -29,7 +31,13 @@ def search_locally(
     counts = STARTS.get(own.size, STARTS_BEYOND) if n_starts is None else (whole("n_starts", n_starts),)
     found: Found | None = None
     for count in counts:
-        starts = best_starts(search, own, count, progress)
+        most = np.inf
+        if found is not None and found.status == "infeasible":
+            # Where constraints cannot be kept, a closer look is one for settings that break them less.
+            most = CLEARLY * search.subproblem.merit(found.setting, found.figures, 0.0)[1]
+        starts = best_starts(search, own, count, progress, most)
+        if not starts:
+            break
         try:
             other = best_from(search, starts, *limits, progress)
         except (LtvpneuError, ValueError):

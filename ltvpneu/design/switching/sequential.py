@@ -34,7 +34,8 @@ from ltvpneu.errors import LtvpneuError
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.1, 0.5, 1e-9
 """Of the trust region, as a share of each variable's bounds [-]."""
 NEAREST_TO_NONE = 1e-6
-"""Radius below which a setting next to those without a cycle is not brought any nearer to them [-]."""
+"""Radius below which a setting is not brought any nearer to those without a cycle, nor to keeping what cannot be kept
+[-]."""
 FIRST_PENALTY, LARGEST_PENALTY = 10.0, 1e6
 """On the constraints' scaled violation."""
 LEAST_SHARE = 0.05
@@ -49,11 +50,15 @@ MOST_FELT = 4
 """Settings up to which they are tried."""
 ROUNDING = 1e-9
 """Changes of the merit that the cycles' own accuracy does not tell from none [-]."""
-BROKEN = 0.1
-"""Scaled violation, on top of twice the one at the start, from which on a way leads out of what is allowed [-]."""
+BROKEN, NEARLY_KEPT = 0.1, 0.01
+"""Scaled violation, on top of twice the one at the start, from which on a way leads out of what is allowed, and up to
+which an end is looked about from for a better one [-]."""
+CLEARLY = 0.95
+"""Share of a violation that is clearly less than it [-]."""
 SAME_BASIN, MUCH_WORSE, MOST_FAILURES, MOST_REFUSED = 0.03, 0.1, 1, 2
-"""While an optimum is known: distance from it at which a way is taken to lead there, as a share of the bounds; by how
-much worse it may be where steps are refused; and how many settings without a cycle, and refused steps, end it."""
+"""While an optimum is known: distance from it at which a way that is worse is taken to lead there, as a share of the
+bounds; how many settings without a cycle end such a way; and how much worse one is that refused steps end, and how
+many."""
 FIRST_CURVATURE = 0.1
 FEASIBLE = 1e-7
 """Scaled violation up to which a constraint counts as kept [-]."""
@@ -88,11 +93,13 @@ BEATEN, LED_OUT = "beaten", "led out"
 
 
 class Rival(NamedTuple):
-    """An optimum that is known."""
+    """An optimum that is known, or a setting nearest to keeping the constraints."""
 
     setting: FloatArray
     merit: float
     """Scaled objective."""
+    broken: float
+    """Scaled violation; zero of an optimum."""
 
 
 class Way(NamedTuple):
@@ -113,7 +120,7 @@ def best_from(
 ) -> Found:
     """Go from each of several settings to a local optimum; return the best, one that keeps the constraints first.
 
-    Once there is an optimum, ways that lead back to it, or to where the constraints cannot be kept, are left.
+    Once there is one, ways that lead back to it, or to nothing better, are left.
     """
     best: tuple[float, float, Found] | None = None
     rival: Rival | None = None
@@ -133,8 +140,8 @@ def best_from(
             rank = (broken if broken > max(FEASIBLE, tolerance) else 0.0, merit)
             if best is None or rank < best[:2]:
                 best = (*rank, found)
-                if found.status == "optimal":
-                    rival = Rival(found.setting, merit)
+                if found.status in ("optimal", "infeasible"):
+                    rival = Rival(found.setting, merit, rank[0])
             # A way that led out of what was allowed is walked again with more weight on staying.
             if found.left == BEATEN or (not found.left and rank[0] <= found.first_broken):
                 break
@@ -143,7 +150,8 @@ def best_from(
         assert reason is not None
         raise reason
     found = best[2]
-    if found.status not in ("optimal", "infeasible") and found.setting.size <= MOST_FELT:
+    may_be_felt = found.setting.size <= MOST_FELT and best[0] <= NEARLY_KEPT
+    if found.status not in ("optimal", "infeasible") and may_be_felt:
         found = feel_about(search, found, tolerance)
     found.n_cycles, found.n_failed = search.n_cycles, search.n_failed
     return found
@@ -266,7 +274,7 @@ class _State:
                 return False
             if self.mixture is not None and self._certified():
                 return self._settled()
-            if self.radius < (NEAREST_TO_NONE if self.blocked else SMALLEST_RADIUS):
+            if self.radius < (NEAREST_TO_NONE if self.blocked or not self.sub.has_objective else SMALLEST_RADIUS):
                 self.collapsed = True
                 return self._settled()
         return False
@@ -278,11 +286,15 @@ class _State:
         rival = self.way.rival
         if rival is None:
             return ""
-        apart = float(np.max(np.abs(self.found.setting - rival.setting)))
-        leads_back = apart <= SAME_BASIN and self.merit >= rival.merit - ROUNDING
-        is_stuck = self.refused > MOST_REFUSED and self.merit > rival.merit + MUCH_WORSE
-        given_up = not self.sub.has_objective or self.failures > MOST_FAILURES
-        return BEATEN if leads_back or is_stuck or given_up else ""
+        if rival.broken > 0:
+            is_worse = is_far_worse = self.broken > CLEARLY * rival.broken
+            given_up = False
+        else:
+            is_worse, is_far_worse = self.merit >= rival.merit - ROUNDING, self.merit > rival.merit + MUCH_WORSE
+            given_up = not self.sub.has_objective
+        leads_back = float(np.max(np.abs(self.found.setting - rival.setting))) <= SAME_BASIN
+        is_stuck = self.failures > MOST_FAILURES or (is_far_worse and self.refused > MOST_REFUSED)
+        return BEATEN if given_up or (is_worse and (leads_back or is_stuck)) else ""
 
     def _trial(self, answer: Answer) -> tuple[FloatArray, list[BlockFigures] | None]:
         setting = np.clip(self.found.setting + answer.step, 0.0, 1.0)

@@ -7,9 +7,10 @@ import numpy as np
 from scipy.stats import qmc
 
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray
-from ltvpneu.design.switching.subproblem import Noted, Search, within_limits
+from ltvpneu.design.switching.subproblem import BlockFigures, Noted, Search, within_limits
 
 Progress = Callable[[str, float], object]
+Find = Callable[[FloatArray], list[BlockFigures] | None]
 REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
 """Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
 span, from which they are, and settings looked at at most."""
@@ -21,12 +22,15 @@ STARTS_EACH = 3
 """Settings started from at most, by each ranking."""
 
 
-def best_starts(search: Search, own: FloatArray, count: int, progress: Progress | None) -> list[FloatArray]:
+def best_starts(
+    search: Search, own: FloatArray, count: int, progress: Progress | None, most_broken: float = np.inf
+) -> list[FloatArray]:
     """Return a few settings to start from, the best first, among one's own and a grid's or a Sobol sequence's.
 
     Of one or two settings, those that are better than their neighbours on the grid; by the merit with low and high
     penalties, as a setting that keeps the constraints may lie far from one that nearly does. A grid of one
-    setting is made finer where figures jump or bend, as where the cycle changes its kind.
+    setting is made finer where figures jump or bend, as where the cycle changes its kind. None that breaks the
+    constraints by more than `most_broken`, scaled.
     """
     p = own.size
     side = max(round(count ** (1 / p)), 2)
@@ -34,14 +38,13 @@ def best_starts(search: Search, own: FloatArray, count: int, progress: Progress 
         points = qmc.Sobol(p, rng=0).random(count) if count else np.zeros((0, p))
     else:
         points = np.stack(np.meshgrid(*[np.linspace(0, 1, side)] * p, indexing="ij"), axis=-1).reshape(-1, p)
-    looks = [_look(search, own)]
-    for number, setting in enumerate(points):
-        if progress is not None:
-            progress("looking at settings", number / len(points))
-        looks.append(_look(search, setting))
-    if p == 1:
-        looks[1:] = _refined(search, looks[1:], progress)
-    if all(look.noted is None for look in looks):
+    looks: list[_Look] = []
+    # What the machine does not settle on soon, its linear model may have; then it is looked at.
+    for find in (search.looked_at, search.figures):
+        looks = _looks(search, find, [own, *points], progress)
+        if any(look.noted is not None for look in looks):
+            break
+    else:
         if search.reason is not None:
             raise search.reason
         return [own]
@@ -61,7 +64,7 @@ def best_starts(search: Search, own: FloatArray, count: int, progress: Progress 
             good = [i for i in good if i == 0 or lowest.ravel()[i - 1]]
         chosen += [i for i in good[:STARTS_EACH] if i not in chosen]
     # From afar a way leads to where another start is nearer to: the constraints are kept there, if anywhere near.
-    most = max(2.0 * float(np.min(broken[chosen])), NEARLY_KEPT)
+    most = min(max(2.0 * float(np.min(broken[chosen])), NEARLY_KEPT), most_broken)
     return [looks[i].setting for i in chosen if broken[i] <= most]
 
 
@@ -85,9 +88,21 @@ class _Look(NamedTuple):
     values: FloatArray
 
 
-def _look(search: Search, setting: FloatArray) -> _Look:
+def _looks(search: Search, find: Find, points: Sequence[FloatArray], progress: Progress | None) -> list[_Look]:
+    """Return looks at settings; between those of one variable's grid, which follow the first one, at more."""
+    looks: list[_Look] = []
+    for number, setting in enumerate(points):
+        if progress is not None:
+            progress("looking at settings", number / len(points))
+        looks.append(_look(search, find, setting))
+    if points[0].size == 1:
+        looks[1:] = _refined(search, find, looks[1:], progress)
+    return looks
+
+
+def _look(search: Search, find: Find, setting: FloatArray) -> _Look:
     sub, nothing = search.subproblem, _Look(setting, None, np.zeros(0))
-    figures = search.looked_at(setting) if within_limits(sub.task, setting) else None
+    figures = find(setting) if within_limits(sub.task, setting) else None
     if figures is None:
         return nothing
     if not sub.is_scaled:
@@ -115,7 +130,7 @@ def _sizes(looks: Sequence[_Look]) -> dict[str, float]:
     return found
 
 
-def _refined(search: Search, looks: list[_Look], progress: Progress | None) -> list[_Look]:
+def _refined(search: Search, find: Find, looks: list[_Look], progress: Progress | None) -> list[_Look]:
     """Return looks along one setting with those between that a jump, a bend or the end of all cycles asks for."""
     for number in range(REFINEMENTS if any(look.values.size for look in looks) else 0):
         rough = _rough_intervals(looks)
@@ -124,7 +139,7 @@ def _refined(search: Search, looks: list[_Look], progress: Progress | None) -> l
         if progress is not None:
             progress("looking closer where figures jump", number / REFINEMENTS)
         for i in rough[::-1].tolist():
-            looks.insert(i + 1, _look(search, 0.5 * (looks[i].setting + looks[i + 1].setting)))
+            looks.insert(i + 1, _look(search, find, 0.5 * (looks[i].setting + looks[i + 1].setting)))
     return looks
 
 

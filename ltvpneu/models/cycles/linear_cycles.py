@@ -17,7 +17,7 @@ from ltvpneu.models.linear.repeat import SAFE_RADIUS, Repeated, repeat_march
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import STEP, around, is_angle, with_values
 
-MOST_PERIODS, SOME_PERIODS, FEW_PERIODS = 150, 60, 12
+MOST_PERIODS, SOME_PERIODS, FEW_PERIODS = 300, 60, 12
 """Valve periods marched for a cycle from rest; what takes longer, as in chaos, counts as none. From the cycle before,
 and from one beside whose map is known."""
 
