@@ -8,6 +8,7 @@ from ltvpneu.design.forcing.forcing import ForcingProblem, ForcingSolution, forc
 from ltvpneu.design.operating_box import operating_box
 from ltvpneu.design.pattern.pattern import PatternSolution, optimize_pattern
 from ltvpneu.design.position_controller import PositionController
+from ltvpneu.design.sizing import Sized, Sizing, size
 from ltvpneu.design.stability_map import Box, StabilityMap, stability_map
 from ltvpneu.design.switching.cycle import LinearizedCycle
 from ltvpneu.design.switching.duty_problem import DutyProblem, duty_problem
@@ -30,6 +31,8 @@ __all__ = [
     "Measurement",
     "PatternSolution",
     "PositionController",
+    "Sized",
+    "Sizing",
     "StabilityMap",
     "TradeOff",
     "ValveLimits",
@@ -43,6 +46,7 @@ __all__ = [
     "optimize_duty",
     "optimize_pattern",
     "simulate_closed_loop",
+    "size",
     "stability_map",
     "trade_off",
     "with_air_use",

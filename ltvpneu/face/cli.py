@@ -13,7 +13,7 @@ from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.machine_text import bundled_machines, machine_text, parsed
 from ltvpneu.models.linear.modes import MODES
 
-DRIVE_COMMANDS = ("drive", "simulate", "new", "machines", "schema", "keys")
+DRIVE_COMMANDS = ("drive", "simulate", "new", "size", "machines", "schema", "keys")
 BAD_INPUT, STOPPED = 2, 130
 """Exit codes; 0 and 1 are those of the commands."""
 
@@ -156,6 +156,27 @@ def _add_drive_commands(commands: Any, machine_help: str) -> None:
     new.add_argument("--supply", help='such as "6 bar(g)"')
     new.add_argument("--delay", type=float, nargs=2, metavar=("ON", "OFF"), help="delays of the valve [ms]")
     new.add_argument("--friction", type=float, nargs=2, metavar=("DRY", "STICTION"), help="[N]")
+
+    size = commands.add_parser("size", help="find the cheapest cylinder and valve of the catalogue for a task")
+    for name, unit, text in (("stroke", "MM", "[mm]"), ("mass", "KG", "moving mass [kg]")):
+        size.add_argument(f"--{name}", type=float, required=True, metavar=unit, help=text)
+    size.add_argument(
+        "--time", type=float, nargs="+", required=True, metavar="S", help="most for a stroke [s], or two: out and in"
+    )
+    size.add_argument("--supply", required=True, metavar="P", help='such as "6 bar(g)"')
+    size.add_argument("--mounting", help='"horizontal" (default), "up", "down" or an angle such as "30 deg"')
+    size.add_argument("--friction", type=float, nargs=2, metavar=("DRY", "STICTION"), help="[N] (default: none)")
+    size.add_argument("--force", type=float, default=0.0, metavar="N", help="external force towards out [N]")
+    size.add_argument("--impact", type=float, metavar="J", help="most energy at the stop [J]")
+    size.add_argument("--speed", type=float, metavar="V", help="most speed at the stop [m/s]")
+    size.add_argument(
+        "--kind",
+        action="append",
+        metavar="TYPE",
+        help='of valve, such as 5/2 (default) or "5/3 closed"; may be repeated',
+    )
+    size.add_argument("--out", type=Path, metavar="DIR", help="folder for the drive's machine file")
+    size.add_argument("--json", action="store_true", help="print what was found as JSON, in SI units")
 
     machines = commands.add_parser("machines", help="list the bundled machines and valves")
     machines.add_argument("--json", action="store_true", help="as JSON")

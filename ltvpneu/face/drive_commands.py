@@ -1,4 +1,4 @@
-"""What `drive`, `simulate`, `new`, `machines`, `schema` and `keys` do; loaded once the command line has been read."""
+"""What `drive`, `simulate`, `new`, `size`, `machines`, `schema` and `keys` do; loaded once the command line has been read."""
 
 import argparse
 import csv
@@ -128,6 +128,22 @@ def _given(options: argparse.Namespace) -> dict[str, dict[str, str]]:
         known = bundled_valves().get(options.model, {})
         put("valve", "type", known.get("type"), '"{}"')
     return found
+
+
+def size(options: argparse.Namespace) -> int:
+    """Find parts for a task; return 0 if some do, 1 if none."""
+    from ltvpneu.face.optimize import progress_bar
+    from ltvpneu.face.size import sized, size_json, size_text
+
+    with progress_bar("size") as progress:
+        found = sized(options, progress)
+    print(json.dumps(size_json(found), indent=2) if options.json else size_text(found))
+    if options.out is not None:
+        results = Results(options.out)
+        results.text("drive.toml", found.machine.to_toml())
+        if not options.json:
+            print(f"\n{results.listed()}")
+    return 0 if found.is_found else 1
 
 
 def machines(options: argparse.Namespace) -> int:

@@ -161,7 +161,7 @@ def test_bundled_valves_can_be_named(model: str) -> None:
         'name = "x"\nsupply_pressure = "6 bar(g)"\nexhaust_pressure = "0 bar(g)"\n[load]\nmass = "1 kg"\n'
         '[cylinder]\nbore = "20 mm"\nstroke = "50 mm"\nclearance = 0.1\n'
     )
-    if known["type"] != "5/2":
+    if known["type"] in ("2/2 nc", "3/2"):
         text += 'acting = "push"\nreturn_spring = ["10 N", "20 N"]\n'
     machine = parse_machine(f'{text}[valve]\nmodel = "{model}"\n', "x.toml")
     law = machine.flow_paths[0].law
@@ -207,3 +207,51 @@ def test_valve_data_name_their_source() -> None:
     for name, valve in bundled_valves().items():
         assert valve["source"], name
     assert (resources.files("ltvpneu") / "valves.toml").is_file()
+
+
+def test_size_finds_parts_and_writes_their_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    task = ["size", "--stroke", "100", "--mass", "5", "--time", "0.2", "--supply", "6 bar(g)"]
+    assert main([*task, "--out", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    assert "ISO 6432, 10 mm, rod 4 mm, with CKD M4GA1 (5/2); supply 7.013 bar(a) = 6 bar(g)" in shown
+    assert "does it" in shown
+    machine = lp.load_machine(tmp_path / "drive.toml")
+    assert main([*task, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["found"]
+    assert found["best"]["strokes"]["out"]["time"] == pytest.approx(lp.stroke(machine, "out").time, rel=1e-9)
+
+
+def test_size_without_an_answer_shows_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    task = [
+        "size",
+        "--stroke",
+        "100",
+        "--mass",
+        "1e6",
+        "--time",
+        "0.1",
+        "0.2",
+        "--supply",
+        "701325",
+        "--mounting",
+        "up",
+    ]
+    assert main(task) == 1
+    assert "no pair of the catalogue does it; the nearest" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        (["--supply", "6"], "supply: found 6 Pa, expected more than the exhaust"),
+        (["--supply", "6 m"], "--supply: found '6 m', a length"),
+        (["--mounting", "sideways"], "--mounting: found 'sideways'"),
+        (["--time", "1", "2", "3"], "--time: found 3 numbers"),
+        (["--kind", "5/4"], "kinds: found '5/4'"),
+    ],
+)
+def test_size_names_bad_input(bad: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    task = ["size", "--stroke", "100", "--mass", "5", "--time", "0.2", "--supply", "6 bar(g)"]
+    assert main([*task, *bad]) == 2
+    assert said in capsys.readouterr().err
