@@ -183,3 +183,68 @@ def test_a_front_against_one_optimum(benchmark: BenchmarkFixture) -> None:
     print(f"\na front of {len(found.values)} points: {twenty:.2f} s, one optimum {one:.2f} s, ratio {twenty / one:.1f}")
     assert len(found.values) == 20
     benchmark.pedantic(optimum, rounds=1)
+
+
+def test_an_optimum_against_slsqp(benchmark: BenchmarkFixture) -> None:
+    """The README's optimum with its look around and its correction, against SLSQP on orbits from one good start."""
+    machine, bounds, most = lp.load_machine("kunt_singh_1990"), (10.0, 30.0), 2e-3
+
+    def ours() -> Any:
+        goals = {"mean": {"position": MEAN}, "amplitude": {"position": most}}
+        return design.optimize_duty(machine, bounds, minimize="air_use", correct=True, **goals)
+
+    def slsqp() -> Any:
+        kept: dict[bytes, Any] = {}
+
+        def values(x: Any) -> Any:
+            if x.tobytes() not in kept:
+                changed = machine.with_duty(float(x[0]))
+                orbit = lp.nonlinear_orbit(changed, bounds[0] + (bounds[1] - bounds[0]) * float(x[1]))
+                air = 1e3 * design.air_use(changed, orbit)
+                kept[x.tobytes()] = orbit.mean("position"), orbit.amplitude("position"), air
+            return kept[x.tobytes()]
+
+        return minimize(
+            lambda x: values(x)[2],
+            [0.417, 0.75],
+            method="SLSQP",
+            bounds=[(0.02, 0.98), (0.0, 1.0)],
+            constraints=[
+                {"type": "eq", "fun": lambda x: (values(x)[0] - MEAN) * 1e2},
+                {"type": "ineq", "fun": lambda x: (most - values(x)[1]) * 1e2},
+            ],
+            options={"ftol": 1e-9, "maxiter": 40, "eps": 1e-6},
+        )
+
+    ours()
+    slsqp()
+    one, found = timed(ours)
+    other, reference = timed(slsqp)
+    print(
+        f"\noptimum {one:.2f} s, {1e3 * found.corrected.objective:.6f} g/s; SLSQP {other:.2f} s, {reference.fun:.6f} g/s; "
+        f"ratio {one / other:.2f}"
+    )
+    benchmark.pedantic(ours, rounds=1)
+
+
+def test_scenarios_against_one(benchmark: BenchmarkFixture) -> None:
+    """Eight scenarios more than none."""
+    machine, bounds = lp.load_machine("kunt_singh_1990"), (6.0, 18.0)
+    wanted: Any = {"mean": {"position": (0.04, 0.05)}, "amplitude": {"position": 4e-3}, "minimize": "air_use"}
+
+    def weaker(share: float) -> Any:
+        return lambda one: one.with_supply_pressure(share * one.supply_pressure)
+
+    several = {f"{share:.2f}": weaker(share) for share in np.linspace(0.97, 1.04, 8)}
+
+    def alone() -> Any:
+        return design.optimize_duty(machine, bounds, **wanted)
+
+    def together() -> Any:
+        return design.optimize_duty(machine, bounds, scenarios=several, **wanted)
+
+    alone()
+    together()
+    one, many = timed(alone)[0], timed(together)[0]
+    print(f"\none scenario {one:.2f} s, nine {many:.2f} s, ratio {many / one:.1f}")
+    benchmark.pedantic(alone, rounds=1)

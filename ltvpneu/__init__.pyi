@@ -37,13 +37,13 @@ from .models.linear.linearize import linearize as linearize
 from .models.linear.lti import lti_model as lti_model
 from .models.linear.ltv import ltv_model as ltv_model
 from .models.linear.model import LtvModel as LtvModel
-from .models.machine.connections import FlowPath as FlowPath
-from .models.machine.directional import directional_paths as directional_paths
 from .models.machine.catalogue import Catalogue as Catalogue
 from .models.machine.catalogue import CatalogueCylinder as CatalogueCylinder
 from .models.machine.catalogue import CatalogueValve as CatalogueValve
 from .models.machine.catalogue import catalogue as catalogue
 from .models.machine.catalogue import catalogue_drive as catalogue_drive
+from .models.machine.connections import FlowPath as FlowPath
+from .models.machine.directional import directional_paths as directional_paths
 from .models.machine.machine import Machine as Machine
 from .models.nonlinear.attractors import Attractors as Attractors
 from .models.nonlinear.attractors import attractors as attractors

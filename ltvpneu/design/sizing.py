@@ -1,8 +1,8 @@
 r"""From a task to a cylinder and a valve: strokes of the nonlinear machine, the cheapest parts first.
 
 Pairs that cannot do it are known without following a stroke. With the filled side at the supply pressure and the other
-at the exhaust, the net push is F = p_s A_k - p_e A_j - p_a (A_k - A_j) + F_e - m g sin(theta) - F_d: no stroke is faster
-than sqrt(2 m s / F), and none begins unless the push is above the stiction.
+at the exhaust, the net push is F = p_s A_k - p_e A_j - p_a (A_k - A_j) + F_e - m g sin(theta) - F_d. So no stroke is
+faster than sqrt(2 m s / F), and none begins unless the push is above the stiction.
 """
 
 import math
@@ -159,8 +159,8 @@ def size(  # noqa: PLR0913 - keyword-only, each with its default
     )
     if task.supply <= task.exhaust:
         raise ValueError(
-            f"supply: found {task.supply:g} Pa, expected more than the exhaust pressure of {task.exhaust:g} Pa; both are "
-            "absolute"
+            f"supply: found {task.supply:g} Pa, expected more than the exhaust pressure of {task.exhaust:g} Pa; both "
+            "are absolute"
         )
     parts = (bundled() if catalogue is None else catalogue).of_kind(*kinds)
     valves = [valve for valve in parts.valves if valve.drives_both_ways]

@@ -1,4 +1,4 @@
-"""What `drive`, `simulate`, `new`, `size`, `machines`, `schema` and `keys` do; loaded once the command line has been read."""
+"""What the commands about one drive do, from `drive` to `keys`; loaded once the command line has been read."""
 
 import argparse
 import csv
@@ -133,7 +133,7 @@ def _given(options: argparse.Namespace) -> dict[str, dict[str, str]]:
 def size(options: argparse.Namespace) -> int:
     """Find parts for a task; return 0 if some do, 1 if none."""
     from ltvpneu.face.optimize import progress_bar
-    from ltvpneu.face.size import sized, size_json, size_text
+    from ltvpneu.face.size import size_json, size_text, sized
 
     with progress_bar("size") as progress:
         found = sized(options, progress)

@@ -114,18 +114,18 @@ def test_where_none_does_the_nearest_is_the_fastest_there_is():
 
 def test_limits_at_the_stop_are_kept():
     free = design.size(0.1, 20.0, 0.4, SUPPLY)
-    soft = design.size(0.1, 20.0, 0.4, SUPPLY, impact_energy=5.0, end_velocity=0.7)
-    assert max(one.impact_energy for one in free.best.strokes.values()) > 5.0
+    soft = design.size(0.1, 20.0, 0.4, SUPPLY, impact_energy=3.0, end_velocity=0.5)
+    assert max(one.impact_energy for one in free.best.strokes.values()) > 3.0
     assert soft.is_found
     for one in soft.best.strokes.values():
-        assert one.impact_energy <= 5.0
-        assert one.end_velocity <= 0.7
+        assert one.impact_energy <= 3.0
+        assert one.end_velocity <= 0.5
 
 
 def test_a_load_that_no_push_moves_is_named():
     found = design.size(0.1, lp.Load(mass=1.0, stiction=1e6), 0.5, SUPPLY)
     assert not found.is_found
-    assert found.best.remark == "the push does not begin the stroke out"
+    assert found.best.remark.startswith("the push does not begin the stroke")
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_a_catalogue_tells_what_it_holds():
     parts = lp.catalogue()
     assert len(parts.valves) >= 40
     assert all(part.source for part in (*parts.valves, *parts.cylinders))
-    assert [one.bore for one in parts.cylinders if one.series == "ISO 15552"][0] == 0.032
+    assert next(one.bore for one in parts.cylinders if one.series == "ISO 15552") == 0.032
     assert parts.valve("SMC SY3000").law.sonic_conductance == pytest.approx(1.1e-8)
     assert parts.valve("SMC SX91").opening_delay == pytest.approx(0.01)
     with pytest.raises(ValueError, match="valve: found 'SY'"):

@@ -5,7 +5,7 @@ greatest merit: where no step helps on every side, the mixture is the one of Cla
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.optimize import brentq
@@ -79,5 +79,5 @@ def _between(here: Here, stack: FloatArray, weights: FloatArray, other: FloatArr
 
     if fall(1.0) >= 0:
         return other
-    share = float(brentq(fall, 0.0, 1.0, xtol=SHARES, disp=False)) if fall(0.0) > 0 else 0.0
+    share = cast(float, brentq(fall, 0.0, 1.0, xtol=SHARES)) if fall(0.0) > 0 else 0.0
     return (1 - share) * weights + share * other

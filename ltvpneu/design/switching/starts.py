@@ -15,9 +15,9 @@ REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
 """Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
 span, from which they are, and settings looked at at most."""
 RANKED_BY = (1e4, 300.0, 10.0)
-"""Penalties by which settings to start from are ranked; the highest first, for what keeps the constraints."""
+"""Penalties by which settings to start from are ranked, the highest first: what keeps the constraints leads."""
 NEARLY_KEPT = 0.15
-"""Scaled violation beyond which a setting is not started from where others are nearer to keeping the constraints [-]."""
+"""Scaled violation beyond which a setting is not started from where others come nearer to the constraints [-]."""
 STARTS_EACH = 3
 """Settings started from at most, by each ranking."""
 

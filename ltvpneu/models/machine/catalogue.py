@@ -237,7 +237,7 @@ def catalogue_drive(  # noqa: PLR0913 - one keyword for each part of a drive
 def cheapest_first(
     cylinders: Sequence[CatalogueCylinder], valves: Sequence[CatalogueValve]
 ) -> list[tuple[CatalogueCylinder, CatalogueValve]]:
-    """Return all pairs, cheapest first: by price where each part has one, else the smaller bore, then the smaller valve."""
+    """Return all pairs, cheapest first: by price where each part has one, else by bore, then by the valve's size."""
     pairs = [(cylinder, valve) for cylinder in cylinders for valve in valves]
     priced = all(part.price is not None for part in (*cylinders, *valves))
 
