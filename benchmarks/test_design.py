@@ -221,8 +221,8 @@ def test_an_optimum_against_slsqp(benchmark: BenchmarkFixture) -> None:
     one, found = timed(ours)
     other, reference = timed(slsqp)
     print(
-        f"\noptimum {one:.2f} s, {1e3 * found.corrected.objective:.6f} g/s; SLSQP {other:.2f} s, {reference.fun:.6f} g/s; "
-        f"ratio {one / other:.2f}"
+        f"\noptimum {one:.2f} s, {1e3 * found.corrected.objective:.6f} g/s; SLSQP {other:.2f} s, "
+        f"{reference.fun:.6f} g/s; ratio {one / other:.2f}"
     )
     benchmark.pedantic(ours, rounds=1)
 
