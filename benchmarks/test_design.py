@@ -190,7 +190,7 @@ def test_an_optimum_against_slsqp(benchmark: BenchmarkFixture) -> None:
     machine, bounds, most = lp.load_machine("kunt_singh_1990"), (10.0, 30.0), 2e-3
 
     def ours() -> Any:
-        goals = {"mean": {"position": MEAN}, "amplitude": {"position": most}}
+        goals: Any = {"mean": {"position": MEAN}, "amplitude": {"position": most}}
         return design.optimize_duty(machine, bounds, minimize="air_use", correct=True, **goals)
 
     def slsqp() -> Any:
