@@ -393,3 +393,28 @@ def test_a_proportional_valve_has_no_edges_to_design():
     for name in ("duty", "on_1"):
         with pytest.raises(ValueError, match=f"found '{name}' of a proportional valve"):
             design.duty_problem(proportional(), 5.0, {name: (0.1, 0.9)})
+
+
+def test_short_commands_and_wide_bounds_of_the_frequency_have_an_answer(machine):
+    found = design.optimize_duty(
+        machine,
+        (2.0, 60.0),
+        mean={"position": 0.045},
+        amplitude={"position": 4e-3},
+        minimize="air_use",
+        valve=design.ValveLimits(shortest_on=5e-3, shortest_off=5e-3),
+        correct=True,
+    )
+    assert found.status == found.corrected.status == "optimal"
+    assert max(found.corrected.constraints.values()) < 1e-6
+    assert found.corrected.objective == pytest.approx(2.27758e-3, rel=1e-4)
+
+
+def test_the_better_of_two_optima_is_found_where_the_nearer_one_is_worse(machine):
+    wanted = {"mean": {"position": 0.045}, "amplitude": {"position": 2e-3}, "minimize": "air_use"}
+    best = design.optimize_duty(machine, (10.0, 30.0), **wanted)
+    near = design.optimize_duty(machine, (10.0, 20.0), **wanted)
+    assert best.status == near.status == "optimal"
+    assert 1e3 * best.objective == pytest.approx(2.26427, abs=1e-4)
+    assert 1e3 * near.objective == pytest.approx(2.28327, abs=1e-4)
+    assert best.at_kink
