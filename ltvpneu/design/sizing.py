@@ -1,17 +1,18 @@
 r"""From a task to a cylinder and a valve: strokes of the nonlinear machine, the cheapest parts first.
 
 Pairs that cannot do it are known without following a stroke. With the filled side at the supply pressure and the other
-at the exhaust, the net push is F = p_s A_k - p_e A_j - p_a (A_k - A_j) + F_e - m g sin(theta) - F_d. So no stroke is
-faster than sqrt(2 m s / F), and none begins unless the push is above the stiction.
+at the exhaust, (7b) with erratum E4 gives the largest net push, F = p_s A_k - p_e A_j - p_a (A_k - A_j) + F_e
+- m g sin(theta) - F_d. So no stroke is faster than sqrt(2 m s / F), and none begins unless the push is above the
+stiction.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import final
 
 from ltvpneu._arrays import positive
 from ltvpneu._values import Value
+from ltvpneu.design.progress import Progress
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.machine.catalogue import (
     Catalogue,
@@ -22,13 +23,12 @@ from ltvpneu.models.machine.catalogue import (
 )
 from ltvpneu.models.machine.catalogue import catalogue as bundled
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.nonlinear.stroke import Stroke, stroke
+from ltvpneu.models.nonlinear.stroke import Direction, Stroke, stroke
 from ltvpneu.physics.cylinder import ATMOSPHERE
 from ltvpneu.physics.load import GRAVITY, Load
 
-Progress = Callable[[str, float], object]
 Wanted = float | tuple[float | None, float | None]
-_WAYS: tuple[Literal["out", "in"], ...] = ("out", "in")
+_WAYS: tuple[Direction, ...] = ("out", "in")
 
 
 @final
@@ -42,9 +42,9 @@ class Sized(Value):
     strokes: dict[str, Stroke]
     """"out" and "in", as far as they were asked for and followed."""
     share: float
-    """Of what was asked for at most, the worst one: up to 1 all is kept; infinite where a stroke does not arrive."""
+    """The largest of the figures, each over the most that was asked for [-]; infinite where a stroke does not arrive."""
     remark: str
-    """Why it does not do, empty where it does."""
+    """What it breaks; empty where it keeps all."""
 
     def __repr__(self) -> str:
         done = ", ".join(f"{way} {1e3 * one.time:.4g} ms" for way, one in self.strokes.items() if one.arrives)
@@ -184,7 +184,7 @@ def size(  # noqa: PLR0913 - keyword-only, each with its default
     return Sizing(best=min(tried, key=lambda one: one.share), tried=tuple(tried))
 
 
-def _times(time: Wanted) -> dict[Literal["out", "in"], float]:
+def _times(time: Wanted) -> dict[Direction, float]:
     """Return the most time for each way that matters [s]."""
     given: tuple[float | None, ...] = time if isinstance(time, tuple) else (time, time)
     if len(given) != 2 or given == (None, None):
@@ -199,7 +199,7 @@ class _Task:
 
     stroke: float
     load: Load
-    times: dict[Literal["out", "in"], float]
+    times: dict[Direction, float]
     supply: float
     exhaust: float
     clearance: float
@@ -249,18 +249,19 @@ class _Task:
             remark=remark if share > 1.0 else "",
         )
 
-    def _least_time(self, machine: Machine, way: Literal["out", "in"]) -> float:
-        """Return a time that no stroke stays below [s]; infinite where none begins."""
+    def _least_time(self, machine: Machine, way: Direction) -> float:
+        """Return a time that no stroke stays below [s]; infinite where none begins, zero where nothing is known."""
         parts, load, sign = machine.cylinder, self.load, 1.0 if way == "out" else -1.0
         filled, other = parts.piston_area_1, parts.piston_area_2
         if way == "in":
             filled, other = other, filled
-        push = self.supply * filled - self.exhaust * other - machine.ambient_pressure * (filled - other)
-        push += sign * (load.force - load.mass * GRAVITY * math.sin(load.mounting))
-        if load.spring_stiffness or load.spring_preload:
-            # A spring that is wound up adds to the push at the start at most what it stores.
-            far = abs(load.spring_preload) + load.spring_stiffness * self.stroke
-            push += far
+        ambient = machine.ambient_pressure * (filled - other)
+        outside = sign * (load.force - load.mass * GRAVITY * math.sin(load.mounting))
+        push = self.supply * filled - self.exhaust * other - ambient + outside
+        held = self.supply * other - self.exhaust * filled + ambient - outside
+        if load.spring_stiffness or load.spring_preload or held < 0:
+            # The piston may start away from its stop, with less of a way to go.
+            return 0.0
         if push <= max(load.stiction, load.dry_friction):
             return math.inf
         return math.sqrt(2 * load.mass * self.stroke / (push - load.dry_friction))

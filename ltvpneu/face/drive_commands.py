@@ -133,10 +133,10 @@ def _given(options: argparse.Namespace) -> dict[str, dict[str, str]]:
 def size(options: argparse.Namespace) -> int:
     """Find parts for a task; return 0 if some do, 1 if none."""
     from ltvpneu.face.optimize import progress_bar
-    from ltvpneu.face.size import size_json, size_text, sized
+    from ltvpneu.face.size import run_sizing, size_json, size_text
 
     with progress_bar("size") as progress:
-        found = sized(options, progress)
+        found = run_sizing(options, progress)
     print(json.dumps(size_json(found), indent=2) if options.json else size_text(found))
     if options.out is not None:
         results = Results(options.out)

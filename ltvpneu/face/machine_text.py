@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ltvpneu.errors import MachineFileError
+from ltvpneu.physics.makers import makers_table
 
 LARGEST_FILE = 1_000_000
 """[byte]; the largest bundled machine has four thousand."""
@@ -20,7 +21,7 @@ def bundled_machines() -> tuple[str, ...]:
 
 def bundled_valves() -> dict[str, dict[str, Any]]:
     """Return what is known of each valve that comes with the package, by name, as in a file's `valve` table."""
-    return tomllib.loads((resources.files("ltvpneu") / "valves.toml").read_text(encoding="utf-8"))
+    return makers_table("valves")
 
 
 def machine_text(source: str | Path) -> tuple[str, str]:

@@ -17,8 +17,8 @@ SHOWN = 6
 """Pairs that a table shows at most."""
 
 
-def sized(options: argparse.Namespace, progress: Any) -> "Sizing":
-    """Return what was found for a command line's task."""
+def run_sizing(options: argparse.Namespace, progress: Any) -> "Sizing":
+    """Find the parts for a command line's task."""
     # A lazy door: design loads cvxpy.
     from ltvpneu import design
 
@@ -79,7 +79,7 @@ def size_text(found: "Sizing") -> str:
         [
             heading("Size").lstrip("\n"),
             f"{said}; supply {supply}",
-            f"  printed in: {best.cylinder.source}; {best.valve.source}",
+            f"  data: {best.cylinder.source}; {best.valve.source}",
             f"  {len(found.tried)} pairs tried, cheapest first: the smaller bore, then the smaller valve",
             "",
             table(

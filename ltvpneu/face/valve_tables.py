@@ -20,14 +20,20 @@ from ltvpneu.face.machine_keys import (
 from ltvpneu.face.machine_table import File, build, read_entry, read_pair, read_table
 from ltvpneu.face.machine_text import bundled_valves, nearest
 from ltvpneu.models.machine.connections import FlowPath
-from ltvpneu.models.machine.directional import DIRECTIONAL, Directional, directional_paths, has_both_outlets, n_coils
+from ltvpneu.models.machine.directional import (
+    DIRECTIONAL,
+    Directional,
+    directional_paths,
+    has_both_outlets,
+    n_coils,
+    second_coil,
+)
 from ltvpneu.models.machine.machine import Valve
 from ltvpneu.physics.inner_volume import InnerVolume
 from ltvpneu.physics.iso6358 import AREA_OF_KV, ISO6358, KV_OF_CV
 from ltvpneu.physics.liquid import Liquid
 from ltvpneu.physics.medium import Medium
 from ltvpneu.physics.on_off_valve import OnOffValve
-from ltvpneu.physics.profile import TURN
 from ltvpneu.physics.proportional import Command, ProportionalValve
 from ltvpneu.physics.thermal import EnergyBalance
 from ltvpneu.physics.tube import Tube
@@ -160,11 +166,9 @@ def _directional(
         return ReadValve(first, paths=paths)
     given = {} if second is None else read_table(second, COIL, file, "valve.second")
     times = {key: value for key, value in found.items() if key.endswith(("_delay", "_time", "ramp"))}
-    if kind == "2 x 3/2" and not given.keys() & {"duty", "start", "pulses"}:
-        # Unless told otherwise the second valve is on while the first is off.
-        given |= {"duty": 1.0 - first.duty, "start": first.start + TURN * first.duty}
-    elif not given.keys() & {"duty", "pulses"}:
-        given["duty"] = 0.0
+    usual = second_coil(kind, first)
+    if not given.keys() & {"pulses", *usual}:
+        given |= usual
     return ReadValve(first, (_switched({**times, **given}, file, "valve.second"),), paths)
 
 

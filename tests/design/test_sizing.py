@@ -9,6 +9,7 @@ import pytest
 
 import ltvpneu as lp
 from ltvpneu import design
+from ltvpneu.face.machine_file import parse_machine
 from ltvpneu.models.machine.catalogue import cheapest_first
 
 SUPPLY = 7.01325e5
@@ -163,3 +164,37 @@ def test_a_catalogue_tells_what_it_holds():
         lp.catalogue_drive(
             parts.cylinders[0], parts.valve("SMC SX91"), stroke=0.1, load=lp.Load(mass=1.0), supply_pressure=SUPPLY
         )
+
+
+@pytest.mark.parametrize("model", ["CKD M4GA1", "CKD M4GA1 5/3 closed", "CKD M3GB1 2 x 3/2", "SMC SY3000"])
+def test_a_catalogues_drive_is_that_of_a_file_that_names_its_valve(model):
+    valve = lp.catalogue().valve(model)
+    text = (
+        'name = "x"\nsupply_pressure = "6 bar(g)"\nexhaust_pressure = "0 bar(g)"\n[load]\nmass = "3 kg"\n'
+        f'[cylinder]\nbore = "32 mm"\nrod = "12 mm"\nstroke = "100 mm"\nclearance = 0.1\n[valve]\nmodel = "{model}"\n'
+    )
+    read = parse_machine(text, "x.toml")
+    cylinder = lp.catalogue().cylinders[6]
+    made = lp.catalogue_drive(cylinder, valve, stroke=0.1, load=lp.Load(mass=3.0), supply_pressure=SUPPLY)
+    assert (made.valve, made.more_valves) == (read.valve, read.more_valves)
+    assert len(made.flow_paths) == len(read.flow_paths)
+    for one, other in zip(made.flow_paths, read.flow_paths, strict=True):
+        assert (one.source, one.chamber, one.opening, one.valve) == (
+            other.source,
+            other.chamber,
+            other.opening,
+            other.valve,
+        )
+        assert one.law.sonic_conductance == pytest.approx(other.law.sonic_conductance, rel=1e-12)
+    for way in ("out", "in"):
+        assert lp.stroke(made, way).time == pytest.approx(lp.stroke(read, way).time, rel=1e-6)
+
+
+def test_a_pair_whose_start_is_not_held_is_followed_all_the_same():
+    # The load pulls it off its stop before the valve switches: no bound on the push tells how far it still has to go.
+    valve = lp.catalogue().valve("SMC SY3000")
+    parts = lp.Catalogue(cylinders=lp.catalogue().cylinders[6:7], valves=(valve,))
+    load = lp.Load(mass=200.0, force=600.0)
+    found = design.size(0.1, load, (0.05, None), SUPPLY, parts)
+    assert set(found.best.strokes) == {"out"}
+    assert found.best.strokes["out"].start_position > 0.05

@@ -14,6 +14,7 @@ import cvxpy as cp
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, finite, positive, whole
+from ltvpneu.design.progress import Progress
 from ltvpneu.design.solving import Constraints, named_constraints
 from ltvpneu.design.switching.cycle import LinearizedCycle, signal_scales
 from ltvpneu.design.switching.duty_solution import DutySolution
@@ -30,7 +31,6 @@ from ltvpneu.design.switching.global_search import search_globally
 from ltvpneu.design.switching.local_search import search_locally
 from ltvpneu.design.switching.nearest import nearest, ranges_of
 from ltvpneu.design.switching.sequential import Found, best_from
-from ltvpneu.design.switching.starts import Progress
 from ltvpneu.design.switching.subproblem import BlockFigures, FigureBlock, Search, Subproblem, Task
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError
@@ -158,7 +158,7 @@ class DutyProblem:
         start : mapping of str to float, optional
             Where to start; by default from the best few of `n_starts` settings.
         n_starts : int, optional
-            Settings looked at first beside the machine's own. Default 161 for one variable, more
+            Settings of the nonlinear machine looked at first beside its own. Default 161 for one variable, more
             where figures jump, and 169 for two, on an even grid, then 641 and 441 where these lead to no optimum; 16
             beyond, a Sobol sequence.
         tolerance : float

@@ -55,7 +55,7 @@ class DutySolution(Value):
     merits: tuple[tuple[float, float], ...]
     """Objective plus penalties before and after every step taken, each pair with the same penalty."""
     n_cycles: int
-    """Cycles computed with derivatives."""
+    """Cycles computed, those that were only looked at included."""
     n_failed: int
     """Settings tried where the model had no cycle."""
     spectral_radius: float

@@ -19,9 +19,9 @@ import numpy as np
 from cvxpy.error import SolverError as CvxpySolverError
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu.design.progress import Progress
 from ltvpneu.design.solving import TIGHT
 from ltvpneu.design.switching.sequential import FEASIBLE, FIRST_PENALTY, Found, best_from
-from ltvpneu.design.switching.starts import Progress
 from ltvpneu.design.switching.subproblem import Search, stacked
 from ltvpneu.errors import LtvpneuError
 

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import finite, finite_array
 from ltvpneu._values import Value
+from ltvpneu.design.progress import Progress
 from ltvpneu.design.switching.cycle import LinearizedCycle
 from ltvpneu.design.switching.duty_problem import NOMINAL, DutyProblem, ModelKind, Scenario, duty_problem
 from ltvpneu.design.switching.duty_solution import DutySolution
 from ltvpneu.design.switching.duty_variables import Bounds
-from ltvpneu.design.switching.starts import Progress
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.machine.machine import Machine, expect_machine

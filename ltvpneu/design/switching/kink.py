@@ -5,6 +5,7 @@ greatest merit: where no step helps on every side, the mixture is the one of Cla
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -73,6 +74,7 @@ def _between(here: Here, stack: FloatArray, weights: FloatArray, other: FloatArr
     """Return the weights between two, from which neither way foretells less."""
     change = np.tensordot(other - weights, stack, 1)
 
+    @cache
     def fall(share: float) -> float:
         answer = here.foretold(np.tensordot((1 - share) * weights + share * other, stack, 1))
         return float(answer.figure_duals @ (change @ answer.step))

@@ -3,8 +3,9 @@
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, whole
+from ltvpneu.design.progress import Progress
 from ltvpneu.design.switching.sequential import CLEARLY, Found, best_from, is_better
-from ltvpneu.design.switching.starts import Progress, best_starts, starts_with_slopes
+from ltvpneu.design.switching.starts import best_starts, starts_with_slopes
 from ltvpneu.design.switching.subproblem import Search
 from ltvpneu.errors import LtvpneuError
 
@@ -33,7 +34,7 @@ def search_locally(
     for count in counts:
         most = np.inf
         if found is not None and found.status == "infeasible":
-            # Where constraints cannot be kept, a closer look is one for settings that break them less.
+            # The closer look is for settings that break the constraints less than what was found.
             most = CLEARLY * search.subproblem.merit(found.setting, found.figures, 0.0)[1]
         starts = best_starts(search, own, count, progress, most)
         if not starts:

@@ -8,8 +8,8 @@ wanted mean, and the others come as near as that leaves them.
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu.design.progress import Progress
 from ltvpneu.design.switching.sequential import FEASIBLE, Found, best_from, is_better
-from ltvpneu.design.switching.starts import Progress
 from ltvpneu.design.switching.subproblem import Noted, Search
 from ltvpneu.errors import LtvpneuError
 

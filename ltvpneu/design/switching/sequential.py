@@ -26,16 +26,15 @@ import cvxpy as cp
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
+from ltvpneu.design.progress import Progress
 from ltvpneu.design.switching.kink import Here, mixed_slopes
-from ltvpneu.design.switching.starts import Progress
 from ltvpneu.design.switching.subproblem import Answer, BlockFigures, Search, Task, stacked, within_limits
 from ltvpneu.errors import LtvpneuError
 
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.1, 0.5, 1e-9
 """Of the trust region, as a share of each variable's bounds [-]."""
 NEAREST_TO_NONE = 1e-6
-"""Radius below which a setting is not brought any nearer to those without a cycle, nor to keeping what cannot be kept
-[-]."""
+"""Radius at which a search ends beside settings without a cycle, and where the constraints cannot be kept [-]."""
 FIRST_PENALTY, LARGEST_PENALTY = 10.0, 1e6
 """On the constraints' scaled violation."""
 LEAST_SHARE = 0.05
@@ -50,15 +49,18 @@ MOST_FELT = 4
 """Settings up to which they are tried."""
 ROUNDING = 1e-9
 """Changes of the merit that the cycles' own accuracy does not tell from none [-]."""
-BROKEN, NEARLY_KEPT = 0.1, 0.01
-"""Scaled violation, on top of twice the one at the start, from which on a way leads out of what is allowed, and up to
-which an end is looked about from for a better one [-]."""
+LEADS_OUT = 0.1
+"""Scaled violation, on top of twice that at the start, beyond which a way leads out of what is allowed [-]."""
+NEARLY_KEPT = 0.01
+"""Scaled violation up to which steps without derivatives are tried from where a search ended [-]."""
 CLEARLY = 0.95
 """Share of a violation that is clearly less than it [-]."""
-SAME_BASIN, MUCH_WORSE, MOST_FAILURES, MOST_REFUSED = 0.03, 0.1, 1, 2
-"""While an optimum is known: distance from it at which a way that is worse is taken to lead there, as a share of the
-bounds; how many settings without a cycle end such a way; and how much worse one is that refused steps end, and how
-many."""
+SAME_BASIN = 0.03
+"""Distance from a known optimum, as a share of the bounds, at which a way that is worse is left."""
+MOST_FAILURES = 1
+"""Settings without a cycle after which a way that is worse than a known optimum is left."""
+MUCH_WORSE, MOST_REFUSED = 0.1, 2
+"""A way that is worse by that much in the scaled objective is left after more refused steps in a row than that."""
 FIRST_CURVATURE = 0.1
 FEASIBLE = 1e-7
 """Scaled violation up to which a constraint counts as kept [-]."""
@@ -86,7 +88,7 @@ class Found:
     first_broken: float = 0.0
     """Scaled violation at the start."""
     left: str = ""
-    """Why the search was not gone through with: `BEATEN` or `LED_OUT`."""
+    """Why the way was left before its end: `BEATEN` or `LED_OUT`; empty where it was not."""
 
 
 BEATEN, LED_OUT = "beaten", "led out"
@@ -103,16 +105,11 @@ class Rival(NamedTuple):
 
 
 class Way(NamedTuple):
-    """How a search goes, and where it is left."""
+    """How a search goes: one with the first penalty is left where it breaks the constraints more and more."""
 
-    penalty: float = FIRST_PENALTY
-    may_lead_out: bool = True
-    """Whether it may go on where it breaks the constraints more and more."""
+    penalty: float
     rival: Rival | None = None
     """What it has to beat."""
-
-
-WAY = Way()
 
 
 def best_from(
@@ -128,9 +125,8 @@ def best_from(
     for start in starts:
         for penalty in (FIRST_PENALTY, 1e3 * FIRST_PENALTY):
             search.subproblem.restore()
-            way = Way(penalty=penalty, may_lead_out=penalty > FIRST_PENALTY, rival=rival)
             try:
-                found = converge(search, start, tolerance, max_iterations, progress, way)
+                found = converge(search, start, tolerance, max_iterations, progress, Way(penalty, rival))
             except (LtvpneuError, ValueError) as error:
                 # Other starts may do; if none does, this is the reason.
                 reason = error
@@ -188,7 +184,7 @@ def feel_about(search: Search, found: Found, tolerance: float) -> Found:
         length *= 1.0 if moved else 0.5
     if setting is not found.setting:
         found = Found(setting=setting, figures=figures, merits=found.merits)
-        state = _State(search, found, tolerance, Way(penalty=penalty))
+        state = _State(search, found, tolerance, Way(penalty))
         state.blocked = True
         state.finish()
         return state.found
@@ -200,8 +196,8 @@ def converge(
     begin: FloatArray,
     tolerance: float,
     max_iterations: int,
-    progress: Progress | None = None,
-    way: Way = WAY,
+    progress: Progress | None,
+    way: Way,
 ) -> Found:
     """Go from a setting to a local optimum, or until the way is left."""
     sub = search.subproblem
@@ -280,8 +276,8 @@ class _State:
         return False
 
     def is_to_leave(self) -> str:
-        """Return why the way is not to be gone on with; empty where it is."""
-        if not self.way.may_lead_out and self.broken > 2 * self.found.first_broken + BROKEN:
+        """Return why the way is left here; empty where it goes on."""
+        if self.way.penalty == FIRST_PENALTY and self.broken > 2 * self.found.first_broken + LEADS_OUT:
             return LED_OUT
         rival = self.way.rival
         if rival is None:

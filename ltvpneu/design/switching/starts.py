@@ -1,4 +1,4 @@
-"""Where to start a search: a look at many settings, closer where figures jump or bend."""
+"""Where to start a search: a look at many settings of the machine itself, closer where figures jump or bend."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -7,9 +7,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from ltvpneu._arrays import BoolArray, FloatArray, IntArray
+from ltvpneu.design.progress import Progress
 from ltvpneu.design.switching.subproblem import BlockFigures, Noted, Search, within_limits
 
-Progress = Callable[[str, float], object]
 Find = Callable[[FloatArray], list[BlockFigures] | None]
 REFINEMENTS, ROUGH, MOST_LOOKS = 2, 0.01, 500
 """Rounds in which intervals of a grid are halved, change of a figure's step from one interval to the next, over its
@@ -29,8 +29,8 @@ def best_starts(
 
     Of one or two settings, those that are better than their neighbours on the grid; by the merit with low and high
     penalties, as a setting that keeps the constraints may lie far from one that nearly does. A grid of one
-    setting is made finer where figures jump or bend, as where the cycle changes its kind. None that breaks the
-    constraints by more than `most_broken`, scaled.
+    setting is made finer where figures jump or bend, as where the cycle changes its kind. Settings that break the
+    constraints by more than `most_broken`, scaled, are left out.
     """
     p = own.size
     side = max(round(count ** (1 / p)), 2)
@@ -39,7 +39,7 @@ def best_starts(
     else:
         points = np.stack(np.meshgrid(*[np.linspace(0, 1, side)] * p, indexing="ij"), axis=-1).reshape(-1, p)
     looks: list[_Look] = []
-    # What the machine does not settle on soon, its linear model may have; then it is looked at.
+    # Where the machine settles on no cycle soon, the model may have one.
     for find in (search.looked_at, search.figures):
         looks = _looks(search, find, [own, *points], progress)
         if any(look.noted is not None for look in looks):
@@ -63,7 +63,7 @@ def best_starts(
             lowest = _lower_than_neighbours(merits[1:].reshape(shape))
             good = [i for i in good if i == 0 or lowest.ravel()[i - 1]]
         chosen += [i for i in good[:STARTS_EACH] if i not in chosen]
-    # From afar a way leads to where another start is nearer to: the constraints are kept there, if anywhere near.
+    # If the constraints were kept near a setting that is far from keeping them, its neighbours would come nearer.
     most = min(max(2.0 * float(np.min(broken[chosen])), NEARLY_KEPT), most_broken)
     return [looks[i].setting for i in chosen if broken[i] <= most]
 
@@ -89,7 +89,7 @@ class _Look(NamedTuple):
 
 
 def _looks(search: Search, find: Find, points: Sequence[FloatArray], progress: Progress | None) -> list[_Look]:
-    """Return looks at settings; between those of one variable's grid, which follow the first one, at more."""
+    """Return looks at settings, the machine's own first; between those of one variable's grid, at more."""
     looks: list[_Look] = []
     for number, setting in enumerate(points):
         if progress is not None:

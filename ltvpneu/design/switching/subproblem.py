@@ -158,12 +158,11 @@ class Subproblem:
         self._sizes = {"": max(self._size(self._expression, slopes), 1e-300)}
         for name, constraint in self.task.constraints.items():
             self._sizes[name] = max(self._size(cast(Any, constraint).expr, slopes), 1e-300)
-        self._problems = {}
 
     def widen(self, sizes: Mapping[str, float]) -> None:
-        """Make the sizes no smaller than given ones, of the objective under an empty name.
+        """Make the sizes no smaller than given ones; the objective's has an empty name.
 
-        Where the first point is a flat one its slopes tell too little.
+        For where the first point is a flat one, whose slopes tell too little.
         """
         self._sizes = {name: max(size, sizes.get(name, 0.0)) for name, size in self._sizes.items()}
         self._problems = {}
@@ -340,7 +339,7 @@ class Noted(NamedTuple):
     """What the sides of each differ by, left less right: (n_rows,)."""
     equations: frozenset[str]
     """Names of those that are equations."""
-    objective: float = 0.0
+    objective: float
     """What is to be made small."""
 
 

@@ -16,11 +16,11 @@ import numpy as np
 
 from ltvpneu._arrays import BoolArray, FloatArray, read_only, whole
 from ltvpneu._values import Value
+from ltvpneu.design.progress import Progress
 from ltvpneu.design.switching.duty_problem import DutyProblem, ModelKind, Scenario, duty_problem
 from ltvpneu.design.switching.duty_solution import DutySolution
 from ltvpneu.design.switching.duty_variables import Bounds
 from ltvpneu.design.switching.goals import Goals, Wanted, constraints_of, objective_of
-from ltvpneu.design.switching.starts import Progress
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.machine.machine import Machine, expect_machine

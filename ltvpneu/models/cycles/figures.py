@@ -40,7 +40,7 @@ class Slopes(NamedTuple):
     jacobian: FloatArray
     """(n_figures, n_parameters)"""
     map_: FloatArray
-    """Of the cycle's scaled start over its own period, (n, n)."""
+    """Derivative of the scaled state after the cycle's own period over that at its start, (n, n)."""
 
 
 @final

@@ -10,9 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, read_only
-from ltvpneu.models.cycles.turns import STATE_STEP, TOLERANCE, march_beside, slopes_along_turn
+from ltvpneu.models.cycles.turns import TOLERANCE, march_beside, slopes_along_turn
 from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.linear.own_cycle import Found
+from ltvpneu.models.linear.repeat import STATE_STEP
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.method import TIGHTER
 from ltvpneu.periodic.orbits.floquet import Floquet, floquet, orbit_multipliers

@@ -21,12 +21,12 @@ from ltvpneu._values import Value
 from ltvpneu.errors import NonUniqueOrbitError, NotConvergedError
 from ltvpneu.models.cycles.cells import Cells, Probes, Turn, march_cells
 from ltvpneu.models.cycles.figures import CycleFigures, Figure, Slopes
-from ltvpneu.models.cycles.turns import STATE_STEP, TOLERANCE
+from ltvpneu.models.cycles.turns import TOLERANCE
 from ltvpneu.models.linear.march import march_period
 from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.linear.own_cycle import Found, Question, as_model, trajectory_of_steps
 from ltvpneu.models.linear.plan import Plan, Steps, new_steps, together
-from ltvpneu.models.linear.repeat import Repeated
+from ltvpneu.models.linear.repeat import STATE_STEP, Repeated
 from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import STEP, around, is_angle

@@ -67,7 +67,6 @@ class NonlinearCycles:
         return float(values.get("frequency", self.frequency))
 
     def _orbit_of(self, machine: Machine, frequency: float) -> Orbit:
-        # Where it rests depends on how it came there: then, and after a failure, from the machine's own rest.
         find = partial(
             nonlinear_orbit,
             method=DormandPrince(rtol=self.rtol),
@@ -82,6 +81,7 @@ class NonlinearCycles:
                     return orbit
             except LtvpneuError:
                 pass
+        # Where it rests depends on how it came there: then, and after a failure, from the machine's own rest.
         orbit = find(machine, frequency)
         self._start = orbit.initial_state
         return orbit

@@ -10,6 +10,7 @@ from ltvpneu.errors import NotConvergedError
 from ltvpneu.models.linear.march import march_period
 from ltvpneu.models.linear.own_cycle import Question
 from ltvpneu.models.linear.plan import Steps, new_steps
+from ltvpneu.models.linear.repeat import STATE_STEP
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.machine.parameters import moved
@@ -21,8 +22,6 @@ from ltvpneu.models.nonlinear.runge_kutta import new_run
 from ltvpneu.models.nonlinear.stopped import raise_stopped
 from ltvpneu.periodic.orbits.orbit import Trajectory
 
-STATE_STEP = 1e-5
-"""Step over the scaled states of the cycle's start [-]."""
 TOLERANCE = 1e-10
 """Of the integrations that are differenced [-]."""
 

@@ -24,8 +24,10 @@ from ltvpneu.periodic.algebra.small import exponential, multiply
 WAIT = 2
 """Periods marched before the cycle's start is solved for."""
 MAX_LEAPS = 40
-SAFE_RADIUS, STATE_STEP = 0.9, 1e-5
-"""Spectral radius up to which a cycle that was leapt to is taken to attract, and scaled step of its differences [-]."""
+SAFE_RADIUS = 0.9
+"""Spectral radius up to which a cycle that was leapt to is taken to attract [-]."""
+STATE_STEP = 1e-5
+"""Step of differences over the scaled states of a cycle's start [-]."""
 FURTHEST = 2.0
 """Longest leap, scaled [-]."""
 LEAST_PRESSURE = 0.1
@@ -85,7 +87,7 @@ def _map_over(marched: Marched, steps: Steps) -> FloatArray:
 
 
 def _attracts(begin: FloatArray, marched: Marched, plan: Plan, steps: Steps) -> bool:
-    """Whether the cycle from a start attracts: by the steps' maps, and if they say no, with the points following."""
+    """Whether the cycle from a start attracts: by the steps' maps, or if they say no, by differences of the march."""
     map_ = _map_over(marched, steps)
     if np.isfinite(map_).all() and not _rests(marched, steps) and _radius(map_) <= SAFE_RADIUS:
         return True

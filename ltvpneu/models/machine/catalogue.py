@@ -1,19 +1,26 @@
 """Valves and cylinders by their makers' data: what the package brings along, and what a user adds to it."""
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import resources
 from typing import Any, final
 
 from ltvpneu._arrays import not_negative, positive
 from ltvpneu._values import Value
-from ltvpneu.models.machine.directional import DIRECTIONAL, Directional, directional_paths, has_both_outlets, n_coils
+from ltvpneu.models.machine.directional import (
+    DIRECTIONAL,
+    Directional,
+    directional_paths,
+    has_both_outlets,
+    n_coils,
+    second_coil,
+)
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.physics.catalog import catalog_cylinder
+from ltvpneu.physics.cylinder import ATMOSPHERE
 from ltvpneu.physics.iso6358 import ISO6358
 from ltvpneu.physics.load import Load
+from ltvpneu.physics.makers import makers_table
 from ltvpneu.physics.on_off_valve import OnOffValve
 
 _UNITS = {"dm^3/(s bar)": 1e-8, "ms": 1e-3}
@@ -39,6 +46,13 @@ class CatalogueValve(Value):
         Where the numbers are printed.
     price : float, optional
         In any currency, the same throughout a catalogue.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> mine = lp.CatalogueValve(name="Mine", kind="5/2", law=lp.ISO6358(sonic_conductance=0.7e-8), price=35.0)
+    >>> mine.drives_both_ways
+    True
     """
 
     name: str
@@ -53,6 +67,8 @@ class CatalogueValve(Value):
     def __post_init__(self) -> None:
         if self.kind not in DIRECTIONAL:
             raise ValueError(f"kind: found {self.kind!r}, expected one of {', '.join(DIRECTIONAL)}")
+        not_negative("opening_delay", self.opening_delay, "s")
+        not_negative("closing_delay", self.closing_delay, "s")
         if self.price is not None:
             not_negative("price", self.price)
 
@@ -76,6 +92,12 @@ class CatalogueCylinder(Value):
         Where the numbers are printed.
     price : float, optional
         In the currency of the valves.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> lp.CatalogueCylinder(series="Mine", bore=0.032, rod=0.012).name
+    'Mine, 32 mm'
     """
 
     series: str
@@ -153,10 +175,17 @@ class Catalogue(Value):
 
 @cache
 def catalogue() -> Catalogue:
-    """Return the catalogue that comes with the package: valves as printed, ISO 6432 and ISO 15552 cylinders."""
+    """Return the catalogue that comes with the package: valves as printed, ISO 6432 and ISO 15552 cylinders.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> lp.catalogue().valve("SMC SY3000").source
+    'SMC SY series, catalog'
+    """
     cylinders = [
         CatalogueCylinder(series=series, bore=1e-3 * bore, rod=1e-3 * rod, source=table["source"])
-        for series, table in _table("cylinders.toml").items()
+        for series, table in makers_table("cylinders").items()
         for bore, rod in zip(table["bores"], table["rods"], strict=True)
     ]
     valves = [
@@ -169,13 +198,9 @@ def catalogue() -> Catalogue:
             closing_delay=_number(table.get("closing_delay", "0 ms")),
             source=table["source"],
         )
-        for name, table in _table("valves.toml").items()
+        for name, table in makers_table("valves").items()
     ]
     return Catalogue(cylinders=tuple(cylinders), valves=tuple(valves))
-
-
-def _table(name: str) -> dict[str, Any]:
-    return tomllib.loads((resources.files("ltvpneu") / name).read_text(encoding="utf-8"))
 
 
 def _law(table: dict[str, Any]) -> ISO6358:
@@ -196,7 +221,7 @@ def catalogue_drive(  # noqa: PLR0913 - one keyword for each part of a drive
     stroke: float,
     load: Load,
     supply_pressure: float,
-    exhaust_pressure: float = 101325.0,
+    exhaust_pressure: float = ATMOSPHERE,
     clearance: float = 0.1,
 ) -> Machine:
     """Return a drive of a cylinder and a valve out of a catalogue.
@@ -218,6 +243,15 @@ def catalogue_drive(  # noqa: PLR0913 - one keyword for each part of a drive
     ------
     ValueError
         The valve feeds one chamber alone, or a number is out of its range.
+
+    Examples
+    --------
+    >>> import ltvpneu as lp
+    >>> parts = lp.catalogue()
+    >>> drive = lp.catalogue_drive(
+    ...     parts.cylinders[6], parts.valve("SMC SY3000"), stroke=0.1, load=lp.Load(mass=3.0), supply_pressure=7.01e5)
+    >>> print(drive.name, f"{1e3 * lp.stroke(drive).time:.0f} ms", sep="; ")
+    ISO 15552, 32 mm, SMC SY3000; 85 ms
     """
     if not valve.drives_both_ways:
         raise ValueError(f'valve: found {valve.name}, a "{valve.kind}" that feeds one chamber, expected one for both')
@@ -229,7 +263,7 @@ def catalogue_drive(  # noqa: PLR0913 - one keyword for each part of a drive
         cylinder=catalog_cylinder(bore=cylinder.bore, rod=cylinder.rod, stroke=stroke, clearance=clearance),
         load=load,
         valve=first,
-        more_valves=(first,) if n_coils(valve.kind) > 1 else (),
+        more_valves=(replace(first, **second_coil(valve.kind, first)),) if n_coils(valve.kind) > 1 else (),
         flow_paths=directional_paths(valve.kind, valve.law, exhaust=valve.exhaust),
     )
 

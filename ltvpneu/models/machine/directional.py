@@ -4,6 +4,8 @@ from typing import Literal, NamedTuple, get_args
 
 from ltvpneu.models.machine.connections import CHAMBERS, FlowPath
 from ltvpneu.physics.iso6358 import ISO6358
+from ltvpneu.physics.on_off_valve import OnOffValve
+from ltvpneu.physics.profile import TURN
 from ltvpneu.physics.tube import Tube
 from ltvpneu.physics.valve import Phase
 
@@ -55,6 +57,16 @@ def n_coils(kind: Directional) -> int:
 def has_both_outlets(kind: Directional) -> bool:
     """Whether a directional valve feeds both chambers."""
     return any(way.chamber == "2" for way in _WAYS[kind])
+
+
+def second_coil(kind: Directional, first: OnOffValve) -> dict[str, float]:
+    """Return how the second coil of a valve is switched unless told otherwise: its duty, and its start if it has one.
+
+    Of "2 x 3/2" the second valve is on while the first is off; the second coil of a "5/3" stays off.
+    """
+    if kind == "2 x 3/2":
+        return {"duty": 1.0 - first.duty, "start": first.start + TURN * first.duty}
+    return {"duty": 0.0}
 
 
 def directional_paths(

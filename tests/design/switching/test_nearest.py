@@ -125,7 +125,7 @@ def test_a_ramp_that_grows_until_it_meets_the_other_stops_no_search(double_actin
 
 def test_ranges_are_those_of_the_sides_differences():
     noted = [
-        Noted(np.array([share]), {"mean": np.array([share - 0.5]), "fixed": np.array([2.0])}, frozenset({"mean"}))
+        Noted(np.array([share]), {"mean": np.array([share - 0.5]), "fixed": np.array([2.0])}, frozenset({"mean"}), 0.0)
         for share in (0.0, 0.25, 1.0)
     ]
     # What does not change is measured by its size.
