@@ -42,7 +42,7 @@ class Sized(Value):
     strokes: dict[str, Stroke]
     """"out" and "in", as far as they were asked for and followed."""
     share: float
-    """The largest of the figures, each over the most that was asked for [-]; infinite where a stroke does not arrive."""
+    """The largest of the figures, each over the most asked for [-]; infinite where a stroke does not arrive."""
     remark: str
     """What it breaks; empty where it keeps all."""
 
