@@ -25,8 +25,6 @@ from ltvpneu.periodic.orbits.orbit import Orbit
 
 ORBIT_TOLERANCE = 1e-7
 """Scaled distance from the orbit at which a cycle counts as found, at the tightest [-]."""
-MOST_PERIODS = 500
-"""Valve periods simulated for a cycle; what takes longer, as in chaos, counts as none."""
 
 
 @final
@@ -52,7 +50,7 @@ class NonlinearCycles:
         frequency: float,
         change: Callable[[Machine], Machine] | None = None,
         rtol: float = TOLERANCE,
-        max_periods: int = MOST_PERIODS,
+        max_periods: int = 5000,
     ) -> None:
         self.machine, self.frequency, self._change = machine.at(frequency), frequency, change
         self.rtol, self.max_periods = rtol, max_periods
