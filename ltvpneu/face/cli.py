@@ -195,15 +195,19 @@ def _add_goals(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--min", **several, help="lower bounds of states, such as position=10mm")
     parser.add_argument(
-        "--minimize", default="amplitude",
-        help="amplitude, air_use, mean_error or switching (default: amplitude)",
+        "--minimize",
+        help="amplitude, air_use, mean_error, tracking or switching (default: amplitude, or tracking with --follow)",
     )  # fmt: skip
     parser.add_argument(
         "--free", **several,
         help="what may be changed, such as duty=0.1..0.9 or supply_pressure=3bar..6bar (default: the duty)",
     )  # fmt: skip
     parser.add_argument("--scenario", **several, help="what has to be borne too, such as supply_pressure=-10%%")
-    parser.add_argument("--pulses", type=int, default=1, metavar="N", help="pulses a period (default: 1)")
+    parser.add_argument("--pulses", type=int, metavar="N", help="pulses a period (default: the machine's own)")
+    parser.add_argument(
+        "--follow", metavar="CYCLE",
+        help="wanted cycle of the position, a sine as 45mm+-10mm or a file with columns degrees,mm",
+    )  # fmt: skip
     for name, text in (
         ("shortest-on", "shortest command on"), ("shortest-off", "shortest command off"),
         ("opening-delay", "delay of opening"), ("closing-delay", "delay of closing"),

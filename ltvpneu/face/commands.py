@@ -8,7 +8,7 @@ from tqdm import tqdm
 
 from ltvpneu.errors import NotConvergedError
 from ltvpneu.face.machine_file import load_machine
-from ltvpneu.face.optimize import optimum_text, parse_request, run_request, write_optimum
+from ltvpneu.face.optimize import followed_text, optimum_text, parse_request, run_request, write_optimum
 from ltvpneu.face.report import LABELS, depends, multipliers_text, remarks, study_text
 from ltvpneu.face.results import Results
 from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
@@ -36,15 +36,18 @@ STABLE, NOT_STABLE = 0, 1
 def optimize(options: argparse.Namespace) -> int:
     """Find duty, frequency or angles for a wanted motion."""
     machine = load_machine(options.machine)
-    if options.pulses < 1:
+    if options.pulses is not None and options.pulses < 1:
         raise ValueError(f"--pulses: found {options.pulses}, expected 1 or more")
-    if options.pulses > 1:
-        turn = 2 * math.pi / options.pulses
-        machine = machine.with_pulses([(i * turn, (i + machine.duty) * turn) for i in range(options.pulses)])
     if options.trade_off is not None:
+        if options.pulses is not None:
+            turn = 2 * math.pi / options.pulses
+            machine = machine.with_pulses([(i * turn, (i + machine.duty) * turn) for i in range(options.pulses)])
         return _trade_off(machine, options)
-    found = run_request(machine, parse_request(machine, options), model=options.model, globally=options.globally)
+    request = parse_request(machine, options)
+    found = run_request(machine, request, model=options.model, globally=options.globally)
     print(f"{machine.name}\n{optimum_text(found)}")
+    if request.cycle is not None:
+        print(f"\n{followed_text(found, request.cycle)}")
     if options.out is not None:
         results = Results(options.out)
         write_optimum(found, results)

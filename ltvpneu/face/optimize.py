@@ -6,8 +6,10 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from tqdm import tqdm
 
+from ltvpneu._arrays import FloatArray
 from ltvpneu.face.machine_text import nearest
 from ltvpneu.face.report import depends, shown
 from ltvpneu.face.results import Results
@@ -36,6 +38,8 @@ DIMENSIONS: dict[str, Dimension] = {
 """Of what the options name; pressures of chambers too, all else is a plain number in SI units."""
 
 
+SAMPLES = 80
+"""Points of a wanted sine."""
 DUTIES = np.linspace(0.05, 0.95, 19)
 """At which it is looked what positions a duty holds."""
 
@@ -61,6 +65,9 @@ class Request(NamedTuple):
     scenarios: dict[str, dict[str, float]]
     """Name to factors by parameter."""
     valve: dict[str, float]
+    pulses: int | None
+    cycle: tuple[FloatArray, FloatArray] | None
+    """Angles [rad], and the positions wanted there [m]."""
 
 
 def parse_request(machine: Machine, options: Any) -> Request:
@@ -109,9 +116,59 @@ def parse_request(machine: Machine, options: Any) -> Request:
         if getattr(options, name)
     }
     frequency = _frequency(options.frequency)
+    cycle = None if options.follow is None else wanted_cycle(options.follow)
+    minimize = options.minimize or ("amplitude" if cycle is None else "tracking")
     return Request(
-        frequency, variables or None, mean, amplitude, maximum, minimum, air_use, options.minimize, scenarios, valve
-    )
+        frequency, variables or None, mean, amplitude, maximum, minimum, air_use, minimize, scenarios, valve,
+        options.pulses, cycle,
+    )  # fmt: skip
+
+
+def wanted_cycle(text: str) -> tuple[FloatArray, FloatArray]:
+    """Return a wanted cycle of the position: angles [rad] and positions [m], of a sine or out of a file.
+
+    Raises
+    ------
+    ValueError
+        What was found and what was expected.
+    """
+    match = re.fullmatch(r"(.+?)\+-(.+)", text.strip())
+    if match is not None:
+        mean, amplitude = (_quantity("--follow", "position", part.strip()) for part in match.groups())
+        angles = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
+        return angles, mean + amplitude * np.sin(angles)
+    try:
+        with open(text, encoding="utf-8") as file:
+            lines = [line for line in file if line.strip()]
+        titles = int(bool(lines) and not _is_number(lines[0].partition(",")[0]))
+        table = np.loadtxt(lines[titles:], delimiter=",", ndmin=2)
+    except OSError as error:
+        raise ValueError(
+            f"--follow: found {text!r}, expected a sine as 45mm+-10mm, or a file ({error.strerror or error})"
+        ) from None
+    except ValueError as error:
+        raise ValueError(f"--follow {text}: expected rows of two numbers, degrees,mm ({error})") from None
+    if table.shape[1] != 2:
+        raise ValueError(f"--follow {text}: found {table.shape[1]} columns, expected two: degrees,mm")
+    if len(table) < 3 or (np.diff(table[:, 0]) <= 0).any() or table[0, 0] < 0 or table[-1, 0] >= 360:
+        raise ValueError(f"--follow {text}: expected three or more rows, with degrees rising from 0 to below 360")
+    # Between few points the piston would be free: the curve through them is wanted.
+    places, values = np.radians(table[:, 0]), 1e-3 * table[:, 1]
+    if places.size >= SAMPLES:
+        return places, values
+    turns = [places - 2 * np.pi, places, places + 2 * np.pi]
+    angles = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
+    return angles, PchipInterpolator(np.concatenate(turns), np.tile(values, 3))(angles)
+
+
+def followed_text(found: "DutySolution", cycle: tuple[FloatArray, FloatArray]) -> str:
+    """Return how far from a wanted cycle of the position the machine goes."""
+    one = found.corrected or found
+    orbit = one.nonlinear["nominal"]
+    if not isinstance(orbit, Orbit):
+        return f"wanted cycle: the machine does not follow it: {orbit}"
+    missed = 1e3 * (orbit.at(cycle[0] / (2 * np.pi * one.frequency))[0] - cycle[1])
+    return f"wanted cycle: missed by {np.sqrt(np.mean(missed**2)):.3g} mm rms, {np.max(np.abs(missed)):.3g} mm at most"
 
 
 def run_request(machine: Machine, request: Request, *, model: Any, globally: bool) -> "DutySolution":
@@ -126,6 +183,7 @@ def run_request(machine: Machine, request: Request, *, model: Any, globally: boo
             request.variables,
             minimize=request.minimize,
             **asked(machine, request),
+            pulses=request.pulses,
             model=model,
             globally=globally,
             correct=True,
@@ -169,7 +227,7 @@ def asked(machine: Machine, request: Request) -> dict[str, Any]:
     return {
         "goals": design.Goals(
             mean=request.mean, amplitude=request.amplitude, maximum=request.maximum, minimum=request.minimum,
-            air_use=request.air_use,
+            air_use=request.air_use, cycle=None if request.cycle is None else {"position": request.cycle},
         ),
         "scenarios": {name: scenario(factors) for name, factors in request.scenarios.items()},
         "valve": design.ValveLimits(**cast(dict[str, Any], request.valve)),

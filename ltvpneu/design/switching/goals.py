@@ -1,7 +1,7 @@
-"""Duty cycle, offset and frequency for a wanted motion: the usual goals, written down for `duty_problem`."""
+"""The usual goals of a design of switching, written down for `duty_problem`."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, final
 
@@ -11,14 +11,8 @@ from numpy.typing import ArrayLike
 
 from ltvpneu._arrays import finite, finite_array
 from ltvpneu._values import Value
-from ltvpneu.design.progress import Progress
 from ltvpneu.design.switching.cycle import LinearizedCycle
-from ltvpneu.design.switching.duty_problem import NOMINAL, DutyProblem, ModelKind, Scenario, duty_problem
-from ltvpneu.design.switching.duty_solution import DutySolution
-from ltvpneu.design.switching.duty_variables import Bounds
-from ltvpneu.design.valve_limits import ValveLimits
-from ltvpneu.errors import LtvpneuError
-from ltvpneu.models.machine.machine import Machine, expect_machine
+from ltvpneu.design.switching.duty_problem import NOMINAL, DutyProblem
 
 Wanted = float | tuple[float | None, float | None]
 """A value, or the least and the greatest one, None for no bound."""
@@ -50,109 +44,6 @@ class Goals(Value):
     minimum: Mapping[str, float] | None = None
     air_use: float | None = None
     cycle: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None
-
-
-def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
-    machine: Machine,
-    frequency: float | Bounds,
-    variables: Mapping[str, Bounds] | None = None,
-    *,
-    minimize: str = "amplitude",
-    goals: Goals | None = None,
-    mean: Mapping[str, Wanted] | None = None,
-    amplitude: Mapping[str, Wanted] | None = None,
-    scenarios: Mapping[str, Scenario] | None = None,
-    valve: ValveLimits | None = None,
-    model: ModelKind = "fitted",
-    steps_per_piece: int = 1,
-    globally: bool = False,
-    correct: bool = False,
-    slopes: Sequence[str] = (),
-    progress: Progress | None = None,
-) -> DutySolution:
-    """Return the duty, or other switching angles, frequency and pressures, that reach a wanted motion best.
-
-    For an objective or constraints of your own, see `duty_problem`.
-
-    Parameters
-    ----------
-    machine : Machine
-    frequency : float or (float, float)
-        Switching frequency [Hz], or bounds of it.
-    variables : mapping of str to (float, float), optional
-        Bounds of what is free, as of `duty_problem`; by default the duty, or the edges of several pulses.
-    minimize : str
-        "amplitude", of the position or as "amplitude pressure_1"; "air_use"; "mean_error", the square of the distance
-        from the wanted means; "tracking", the mean square distance from the wanted cycle; "switching", how often the
-        valve switches. In several scenarios, the worst one's.
-    goals : Goals, optional
-        What is wanted.
-    mean, amplitude : mapping, optional
-        The two most usual goals, as of `Goals`.
-    scenarios, valve
-        As of `duty_problem`.
-    model, steps_per_piece, globally, slopes, progress
-        As of `DutyProblem.solve`.
-    correct : bool
-        Go on from the linear model's optimum on the nonlinear machine; the result is in `.corrected`, or why there is
-        none, as where stiction holds the machine there, in `.not_corrected`.
-
-    Returns
-    -------
-    DutySolution
-
-    Raises
-    ------
-    ValueError
-        Unknown signals, variables or objectives; bounds that contradict each other.
-    LtvpneuError
-        No setting looked at has a cycle.
-
-    Examples
-    --------
-    45 mm with less than 4 mm of ripple, for the least air:
-
-    >>> import ltvpneu as lp
-    >>> from ltvpneu import design
-    >>> found = design.optimize_duty(
-    ...     lp.load_machine("kunt_singh_1990"), (6.0, 18.0), mean={"position": 0.045}, amplitude={"position": 4e-3},
-    ...     minimize="air_use")
-    >>> print(found.status, f"{found.frequency:.1f} Hz, duty {found.values['duty']:.3f}")
-    optimal 14.5 Hz, duty 0.424
-    >>> print(f"nonlinear: {1e3 * found.nonlinear['nominal'].mean('position'):.1f} mm")
-    nonlinear: 45.0 mm
-    """
-    expect_machine(machine)
-    goals = Goals() if goals is None else goals
-    goals = replace(
-        goals,
-        mean={**(goals.mean or {}), **(mean or {})},
-        amplitude={**(goals.amplitude or {}), **(amplitude or {})},
-    )
-    minimize = str(minimize).strip()
-    if goals.cycle and minimize != "tracking":
-        raise ValueError(f'goals: found a wanted cycle with minimize={minimize!r}, expected minimize="tracking"')
-    problem = duty_problem(machine, frequency, variables, scenarios=scenarios, valve=valve)
-    constraints = constraints_of(problem, goals, minimize)
-    objective = cp.Minimize(objective_of(problem, goals, minimize))
-    found = problem.solve(
-        objective,
-        constraints,
-        model=model,
-        steps_per_piece=steps_per_piece,
-        globally=globally,
-        slopes=slopes,
-        progress=progress,
-    )
-    if not correct or model == "nonlinear":
-        return found
-    try:
-        corrected = problem.solve(
-            objective, constraints, model="nonlinear", start=found.values, slopes=slopes, progress=progress
-        )
-    except (LtvpneuError, ValueError) as error:
-        return replace(found, not_corrected=str(error))
-    return replace(found, corrected=corrected)
 
 
 def objective_of(problem: DutyProblem, goals: Goals, minimize: str) -> Any:

@@ -359,9 +359,11 @@ class _State:
             change = share * change + (1 - share) * bent
             along = float(step @ change)
         new = self.curvature - np.outer(bent, bent) / size + np.outer(change, change) / along
-        lowest = float(np.min(np.linalg.eigvalsh(new)))
         if np.isfinite(new).all():
-            self.curvature = (new + new.T) / 2 + max(1e-6 - lowest, 0.0) * np.eye(step.size)
+            values, vectors = np.linalg.eigh((new + new.T) / 2)
+            # Beside a large one, rounding may leave the smallest below zero.
+            floor = max(1e-6, 1e-13 * float(values[-1]))
+            self.curvature = (vectors * np.maximum(values, floor)) @ vectors.T
 
     def _residual(self, setting: FloatArray, figures: list[BlockFigures]) -> tuple[float, Answer]:
         p = setting.size
@@ -427,7 +429,9 @@ def _projected(task: Task, setting: FloatArray) -> FloatArray:
     )
     problem.solve(solver=cp.CLARABEL)
     if problem.status not in ("optimal", "optimal_inaccurate"):
+        names = list(task.limits)
+        more = f" and {len(names) - 4} more" if len(names) > 4 else ""
         raise ValueError(
-            f"limits: no setting within the bounds keeps {', '.join(task.limits)}; they contradict each other"
+            f"limits: no setting within the bounds keeps {', '.join(names[:4])}{more}; they contradict each other"
         )
     return np.clip(np.asarray(task.setting.value, dtype=np.float64), 0.0, 1.0)

@@ -20,7 +20,7 @@ from ltvpneu.models.nonlinear.integrator import Record
 from ltvpneu.models.nonlinear.mass_drawn import mass_drawn
 from ltvpneu.models.nonlinear.method import DormandPrince
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
-from ltvpneu.models.nonlinear.polynomial import polynomial_extremes, trajectory_of
+from ltvpneu.models.nonlinear.polynomial import PolynomialTrajectory, polynomial_extremes, trajectory_of
 from ltvpneu.periodic.orbits.orbit import Orbit
 
 ORBIT_TOLERANCE = 1e-7
@@ -113,7 +113,8 @@ class NonlinearCycles:
 
         def of_machine(start: FloatArray, machine: Machine, frequency: float) -> FloatArray:
             end, record = nonlinear_turn(start, machine, frequency, orbit.n_periods, self.rtol)
-            return np.append(end, [_figure(record, machine, frequency, figure) for figure in figures])
+            along = trajectory_of(record)
+            return np.append(end, [_figure(along, record, machine, frequency, figure) for figure in figures])
 
         def of_turn(start: FloatArray, plain: Machine, frequency: float) -> FloatArray:
             return of_machine(start, self._changed(plain), frequency)
@@ -137,12 +138,12 @@ class NonlinearCycles:
         )
 
 
-def _figure(record: Record, machine: Machine, frequency: float, asked: Figure) -> float:
+def _figure(along: PolynomialTrajectory, record: Record, machine: Machine, frequency: float, asked: Figure) -> float:
     kind, state, angle, piece = asked
     if kind == "mean":
-        return float(trajectory_of(record).means()[state])
+        return float(along.means()[state])
     if kind == "at":
-        return float(trajectory_of(record).at(np.array([angle / (2 * np.pi) / frequency]))[state, 0])
+        return float(along.at(np.array([angle / (2 * np.pi) / frequency]))[state, 0])
     if kind == "air_use":
         return mass_drawn(record, machine, frequency) / float(np.sum(record.spans))
     n_pieces = machine.openings.fractions.size - 1
