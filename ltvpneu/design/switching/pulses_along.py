@@ -8,6 +8,7 @@ and the volumes are followed, slot after slot. A slot's pulse is as long as it t
 import math
 from functools import partial
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -98,7 +99,7 @@ class _Along:
 
         ends = missed(LEAST_SHARE), missed(1 - LEAST_SHARE)
         if ends[0] * ends[1] < 0:
-            share = float(brentq(missed, LEAST_SHARE, 1 - LEAST_SHARE, xtol=SAME))
+            share = cast(float, brentq(missed, LEAST_SHARE, 1 - LEAST_SHARE, xtol=SAME))
         else:
             share = LEAST_SHARE if abs(ends[0]) < abs(ends[1]) else 1 - LEAST_SHARE
         return share, self._followed(slot, state, share)
