@@ -44,6 +44,8 @@ from .models.machine.catalogue import catalogue as catalogue
 from .models.machine.catalogue import catalogue_drive as catalogue_drive
 from .models.machine.connections import FlowPath as FlowPath
 from .models.machine.directional import directional_paths as directional_paths
+from .models.machine.exchange import with_bore as with_bore
+from .models.machine.exchange import with_valve as with_valve
 from .models.machine.machine import Machine as Machine
 from .models.nonlinear.attractors import Attractors as Attractors
 from .models.nonlinear.attractors import attractors as attractors

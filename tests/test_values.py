@@ -73,6 +73,9 @@ SAMPLES: dict[str, Callable[[], Any]] = {
     "ClosedLoop": closed_loop,
     "Command": lambda: lp.Command(angles=(0.0, 2.0), openings=(-0.8, 1.0)),
     "Cylinder": lambda: MACHINE.cylinder,
+    "Chosen": lambda: design.optimize_duty(
+        MACHINE, 15.0, {"supply_pressure": (4e5, 4.2e5)}, choices={"duty": [0.45]}
+    ).choices[0],
     "DataSheet": lambda: lp.data_sheet(lift(), 20.0),
     "DormandPrince": lp.DormandPrince,
     "DutyMap": lambda: design.duty_map(MACHINE, [0.4, 0.5], [8.0]),

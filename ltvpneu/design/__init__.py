@@ -12,7 +12,7 @@ from ltvpneu.design.sizing import Sized, Sizing, size
 from ltvpneu.design.stability_map import Box, StabilityMap, stability_map
 from ltvpneu.design.switching.cycle import LinearizedCycle
 from ltvpneu.design.switching.duty_problem import DutyProblem, duty_problem
-from ltvpneu.design.switching.duty_solution import DutySolution
+from ltvpneu.design.switching.duty_solution import Chosen, DutySolution
 from ltvpneu.design.switching.goals import Goals
 from ltvpneu.design.switching.optimize import optimize_duty
 from ltvpneu.design.switching.trade_off import TradeOff, trade_off
@@ -21,6 +21,7 @@ from ltvpneu.design.valve_limits import ValveLimits
 __all__ = [
     "Box",
     "Certificate",
+    "Chosen",
     "ClosedLoop",
     "DutyMap",
     "DutyProblem",

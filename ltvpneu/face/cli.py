@@ -203,6 +203,10 @@ def _add_goals(parser: argparse.ArgumentParser) -> None:
         help="what may be changed, such as duty=0.1..0.9 or supply_pressure=3bar..6bar (default: the duty)",
     )  # fmt: skip
     parser.add_argument("--scenario", **several, help="what has to be borne too, such as supply_pressure=-10%%")
+    parser.add_argument(
+        "--choose", action="append", default=[], metavar="NAME=A,B,...",
+        help="lists to choose from, such as bore=25mm,32mm, valve=SMC SY3000,SMC SY5000 or pulses=1,2",
+    )  # fmt: skip
     parser.add_argument("--pulses", type=int, metavar="N", help="pulses a period (default: the machine's own)")
     parser.add_argument(
         "--follow", metavar="CYCLE",

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -68,6 +69,7 @@ class Request(NamedTuple):
     pulses: int | None
     cycle: tuple[FloatArray, FloatArray] | None
     """Angles [rad], and the positions wanted there [m]."""
+    choices: dict[str, list[Any]]
 
 
 def parse_request(machine: Machine, options: Any) -> Request:
@@ -120,8 +122,23 @@ def parse_request(machine: Machine, options: Any) -> Request:
     minimize = options.minimize or ("amplitude" if cycle is None else "tracking")
     return Request(
         frequency, variables or None, mean, amplitude, maximum, minimum, air_use, minimize, scenarios, valve,
-        options.pulses, cycle,
+        options.pulses, cycle, {name: entries for name, entries in map(partial(_choices, around), options.choose)},
     )  # fmt: skip
+
+
+def _choices(around: float, text: str) -> tuple[str, list[Any]]:
+    """Return a list to choose from, by its name."""
+    name, value = _named("--choose", text, ())
+    parts = [part.strip() for part in value.split(",")]
+    if name == "valve":
+        return name, parts
+    if name == "pulses":
+        return name, [int(part) if part.isdigit() else part for part in parts]
+    if name == "bore":
+        return name, [_quantity("--choose", "position", part, around) for part in parts]
+    if name == "frequency":
+        return name, [_frequency([part]) for part in parts]
+    return name, [_quantity("--choose", name, part, around) for part in parts]
 
 
 def wanted_cycle(text: str) -> tuple[FloatArray, FloatArray]:
@@ -184,6 +201,7 @@ def run_request(machine: Machine, request: Request, *, model: Any, globally: boo
             minimize=request.minimize,
             **asked(machine, request),
             pulses=request.pulses,
+            choices=request.choices or None,
             model=model,
             globally=globally,
             correct=True,
@@ -236,7 +254,8 @@ def asked(machine: Machine, request: Request) -> dict[str, Any]:
 
 def optimum_text(found: "DutySolution") -> str:
     """Return the tables of an optimum."""
-    parts = [heading("Optimum")]
+    parts = [choices_text(found)] if found.choices else []
+    parts.append(heading("Optimum"))
     said = {
         "optimal": "optimal: every goal is kept, and no small change does better",
         "infeasible": "infeasible: no setting near keeps every goal; this one comes nearest",
@@ -292,6 +311,27 @@ def optimum_text(found: "DutySolution") -> str:
     if found.active:
         parts.append(f"\nactive: {', '.join(found.active)}")
     return "\n".join(parts)
+
+
+def choices_text(found: "DutySolution") -> str:
+    """Return the table of what every choice came to, best first."""
+    names, around = list(found.choice), found.machine.ambient_pressure
+    rows: list[list[str]] = []
+    for one in found.choices:
+        labels = [
+            label if isinstance(label, str)
+            else f"{1e3 * label:g} mm" if name == "bore"
+            else setting_shown(name, label, around)
+            for name, label in one.choice.items()
+        ]  # fmt: skip
+        if one.final is None:
+            rows.append([*labels, "-", "-", one.failure])
+            continue
+        objective = one.final.nonlinear_objective
+        settings = ", ".join(f"{name} {setting_shown(name, value, around)}" for name, value in one.final.values.items())
+        verdict = "keeps all goals" if one.keeps_goals else f"breaks {', '.join(one.final.broken) or 'none'}"
+        rows.append([*labels, f"{objective:.5g}" if np.isfinite(objective) else "-", settings, verdict])
+    return f"{heading('Choices, best first')}\n{table([*names, 'objective [SI]', 'settings', 'verdict'], rows)}"
 
 
 def _slopes_text(found: "DutySolution") -> list[str]:
@@ -406,7 +446,18 @@ def optimum_data(found: "DutySolution") -> dict[str, Any]:
             "nonlinear": cycles(one),
         }
 
-    return data(found) | {"corrected": data(found.corrected) if found.corrected is not None else None}
+    choices = [
+        {
+            "choice": one.choice,
+            "failure": one.failure,
+            "keeps_goals": one.keeps_goals,
+            "values": None if one.final is None else one.final.values,
+            "objective": None if one.final is None else known(one.final.nonlinear_objective),
+        }
+        for one in found.choices
+    ]
+    corrected = data(found.corrected) if found.corrected is not None else None
+    return data(found) | {"corrected": corrected, "choice": found.choice, "choices": choices}
 
 
 def write_optimum(found: "DutySolution", results: Results) -> None:

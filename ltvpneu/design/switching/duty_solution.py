@@ -1,7 +1,7 @@
 """What a design of switching angles ended with."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import final
 
@@ -79,6 +79,10 @@ class DutySolution(Value):
     """The same problem solved from here on the nonlinear machine, where that was asked for."""
     not_corrected: str = ""
     """Why it was not, where that was asked for."""
+    choice: dict[str, str | float] = field(default_factory=dict[str, str | float])
+    """Where there were lists to choose from: the entry of each."""
+    choices: "tuple[Chosen, ...]" = ()
+    """The design with every combination of the lists' entries, best first."""
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name} {value:.6g}" for name, value in self.values.items())
@@ -96,3 +100,31 @@ class DutySolution(Value):
         """Goals that the nonlinear machine breaks by more than `tolerances`, or has no cycle to keep them with."""
         missed = self.nonlinear_constraints
         return tuple(name for name, by in missed.items() if not by <= self.tolerances[name])
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Chosen(Value):
+    """A design with one entry of each list."""
+
+    choice: dict[str, str | float]
+    """The entry of each list; valves and cylinders by their names."""
+    solution: DutySolution | None
+    """What it came to; None where there is none."""
+    failure: str
+    """Why not; else empty."""
+
+    def __repr__(self) -> str:
+        named = ", ".join(f"{name} {label}" for name, label in self.choice.items())
+        return f"<Chosen: {named}: {self.failure or repr(self.solution)}>"
+
+    @property
+    def final(self) -> DutySolution | None:
+        """The solution, or the corrected one where there is one."""
+        return None if self.solution is None else self.solution.corrected or self.solution
+
+    @property
+    def keeps_goals(self) -> bool:
+        """Whether the nonlinear machine keeps all goals."""
+        found = self.final
+        return found is not None and found.status != "infeasible" and not found.broken

@@ -3,11 +3,13 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import cvxpy as cp
 
 from ltvpneu._arrays import whole
 from ltvpneu.design.progress import Progress
+from ltvpneu.design.switching.choices import Choices, over_choices
 from ltvpneu.design.switching.duty_problem import DutyProblem, ModelKind, Scenario, duty_problem
 from ltvpneu.design.switching.duty_solution import DutySolution
 from ltvpneu.design.switching.duty_variables import Bounds, least_shares
@@ -38,6 +40,7 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     correct: bool = False,
     slopes: Sequence[str] = (),
     pulses: int | None = None,
+    choices: Choices | None = None,
     progress: Progress | None = None,
 ) -> DutySolution:
     """Return the duty, or other switching angles, frequency and pressures, that reach a wanted motion best.
@@ -66,6 +69,11 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     pulses : int, optional
         How often the valve goes on in a period; by default as the machine's does. For "tracking" without `variables`,
         the turn is cut into as many equal slots, and every edge is free within its own.
+    choices : mapping of str to sequence, optional
+        Lists to choose from. Every combination is solved, and the best is returned, with all of them in `.choices`:
+        "valve" (names of `lp.catalogue()`, or `CatalogueValve`), "bore" ([m], or `CatalogueCylinder`), "pulses",
+        "frequency" [Hz], or any number of the machine by its name, as "load.mass". See `lp.with_valve` and
+        `lp.with_bore` for what changes with a valve and a bore.
     correct : bool
         Go on from the linear model's optimum on the nonlinear machine; the result is in `.corrected`, or why there is
         none, as where stiction holds the machine there, in `.not_corrected`.
@@ -105,6 +113,20 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     minimize = str(minimize).strip()
     if goals.cycle and minimize != "tracking":
         raise ValueError(f'goals: found a wanted cycle with minimize={minimize!r}, expected minimize="tracking"')
+    if choices is not None:
+
+        def solve_one(machine: Machine, given: dict[str, Any], told: Progress | None) -> DutySolution:
+            asked: dict[str, Any] = {"frequency": frequency, "pulses": pulses, **given}
+            return optimize_duty(
+                machine, variables=variables, minimize=minimize, goals=goals, scenarios=scenarios, valve=valve,
+                model=model, steps_per_piece=steps_per_piece, globally=globally, correct=correct, slopes=slopes,
+                progress=told, **asked,
+            )  # fmt: skip
+
+        free = {"duty"} if variables is None else set(variables)
+        chosen = over_choices(machine, choices, free, solve_one, progress)
+        assert chosen[0].solution is not None
+        return replace(chosen[0].solution, choice=chosen[0].choice, choices=chosen)
     if pulses is not None:
         machine = _pulsed(machine, frequency, whole("pulses", pulses))
         if variables is None and minimize == "tracking":

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from functools import cache
 from typing import Any, final
 
@@ -169,7 +170,11 @@ class Catalogue(Value):
         """
         found = [valve for valve in self.valves if valve.name == name]
         if not found:
-            raise ValueError(f"valve: found {name!r}, expected one of {', '.join(one.name for one in self.valves)}")
+            names = [one.name for one in self.valves]
+            near = get_close_matches(name, names, 3, 0.4) or names[:3]
+            raise ValueError(
+                f"valve: found {name!r}, expected one of the catalogue's {len(names)}, such as {', '.join(near)}"
+            )
         return found[0]
 
 

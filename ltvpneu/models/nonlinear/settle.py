@@ -183,6 +183,9 @@ class _Search:
             found = self._looked_ahead(repeats == 1)
             if found is not None:
                 return found
+            if self.n_simulated >= self.max_periods:
+                # A state that repeats, but not near an orbit, may be all that the last period allowed came to.
+                return self._found(0, self._change())
             self.refused = repeats == 1
             self._set_tolerances(*self.given)
             wait = self._window

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import ltvpneu as lp
+from ltvpneu.models.machine.parameters import with_values
 from ltvpneu.models.nonlinear.attractors import default_starts
 from tests.conftest import MACHINES
 from tests.models.random_machines import random_kind
@@ -270,3 +271,19 @@ def test_what_a_model_says_of_its_cycle_is_so_on_the_machine(seed):
         true = getattr(model.orbit, what)(0) - getattr(orbit, what)(0)
         slack = 2e-3 * max(orbit.amplitude(0), 1e-3 * machine.state_scales[0])
         assert abs(getattr(estimate, what)(0) - true) <= 0.5 * abs(true) + slack
+
+
+@pytest.mark.parametrize("most", [38, 39, 40, 41])
+def test_a_state_that_repeats_at_the_last_period_allowed_ends_the_search(most):
+    # Of this one the last of 40 periods repeats, without being near an orbit: one more leads there.
+    drive = with_values(lp.load_machine("double_acting_5_2"), {"load.spring_stiffness": 2e3})
+    start = [0.013246662440558093, -2.0468138633521473, 276570.8836639049, 460446.3731707513]
+    method = lp.DormandPrince(rtol=1e-5)
+    try:
+        found = lp.nonlinear_orbit(
+            drive.with_duty(0.46819930555555556), 12.0, start, method=method, tolerance=1e-6, max_periods=most
+        )
+    except lp.NotSettledError as error:
+        assert f"after {most} valve periods" in str(error)  # noqa: PT017 - or it settles, here or elsewhere
+    else:
+        assert found.n_simulated <= most
