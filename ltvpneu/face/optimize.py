@@ -339,15 +339,25 @@ def _slopes_text(found: "DutySolution") -> list[str]:
     from ltvpneu.models.machine.parameters import present_value
 
     rows: list[list[str]] = []
+    free = list(found.values)
     for name, slope in found.slopes.items():
         value = present_value(found.machine, found.frequency, name)
         if np.isfinite(slope) and found.objective:
             share = 0.01 * value * slope / abs(found.objective)
-            rows.append([name, setting_shown(name, value, found.machine.ambient_pressure), f"{100 * share:+.2g} %"])
+            moves = [0.01 * value * found.setting_slopes[name][one] for one in free]
+            shown_moves = [f"{move:+.2g}" if np.isfinite(move) else "-" for move in moves]
+            rows.append(
+                [
+                    name,
+                    setting_shown(name, value, found.machine.ambient_pressure),
+                    f"{100 * share:+.2g} %",
+                    *shown_moves,
+                ]
+            )
     if not rows:
         return []
-    title = "What the best depends on, the settings following"
-    return [heading(title), table(["parameter", "now", "1 % more changes the objective by"], rows)]
+    header = ["parameter", "now", "objective", *(f"{name} [SI]" for name in free)]
+    return [heading("What 1 % more of a parameter changes, the settings following"), table(header, rows)]
 
 
 def _unheld(found: "DutySolution") -> str:
@@ -438,6 +448,10 @@ def optimum_data(found: "DutySolution") -> dict[str, Any]:
             "not_corrected": one.not_corrected,
             "duals": {name: known(value) for name, value in one.duals.items()},
             "slopes": {name: known(value) for name, value in one.slopes.items()},
+            "setting_slopes": {
+                name: {variable: known(value) for variable, value in moves.items()}
+                for name, moves in one.setting_slopes.items()
+            },
             "active": list(one.active),
             "missed_by": {name: known(value) for name, value in one.constraints.items()},
             "nonlinear_missed_by": {name: known(value) for name, value in one.nonlinear_constraints.items()},

@@ -7,6 +7,7 @@ from convex problem to convex problem (`sequential`).
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, Protocol, cast, final
 
@@ -31,6 +32,7 @@ from ltvpneu.design.switching.global_search import search_globally
 from ltvpneu.design.switching.local_search import search_locally
 from ltvpneu.design.switching.nearest import nearest, ranges_of
 from ltvpneu.design.switching.sequential import Found, best_from
+from ltvpneu.design.switching.setting_slopes import setting_slopes
 from ltvpneu.design.switching.subproblem import BlockFigures, FigureBlock, Search, Subproblem, Task
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError
@@ -168,7 +170,7 @@ class DutyProblem:
             Look at every part of the bounds, for one or two variables, and return a lower bound too.
         slopes : sequence of str
             Numbers of the machine, as in `parameter_sensitivity`, over which the best objective is differentiated:
-            `DutySolution.slopes`.
+            `DutySolution.slopes`; so are the best settings: `DutySolution.setting_slopes`.
         progress : callable, optional
             Called with a text and a share done, 0 to 1.
 
@@ -194,7 +196,15 @@ class DutyProblem:
                 found = search_locally(search, self.own_setting, n_starts, limits, progress)
         found = nearest(search, found, tolerance, max_iterations, progress)
         worth = self._value_slopes(found, search.subproblem, self._cycles(model, steps_per_piece), slopes)
-        return self._solution(found, search.subproblem, lower, ranges_of(search.noted), worth)
+        ranges = ranges_of(search.noted)
+
+        def beside(machine: Machine, frequency: float) -> Search:
+            cycles = self._cycles(model, steps_per_piece, machine, frequency)
+            return replace(search, evaluate=partial(self._evaluate, cycles), noted=[])
+
+        shares = setting_slopes(found, (self.machine, self.frequency), slopes, beside, tolerance)
+        moves = {name: self._by_variable(one) for name, one in shares.items()}
+        return self._solution(found, search.subproblem, lower, ranges, (worth, moves))
 
     def search(
         self, objective: cp.Minimize | cp.Maximize, constraints: Constraints, model: ModelKind, steps_per_piece: int
@@ -246,7 +256,19 @@ class DutyProblem:
             block.variable.value = one.values
         return tuple(float(np.asarray(expression.value)) for expression in expressions)
 
-    def _cycles(self, model: ModelKind, steps_per_piece: int) -> dict[str, Cycles]:
+    def _by_variable(self, shares: FloatArray) -> dict[str, float]:
+        """Return changes of the settings in the variables' own units, from those as shares of the bounds."""
+        return {
+            name: (high - low) * float(share)
+            for share, (name, (low, high)) in zip(shares, self.bounds.items(), strict=True)
+        }
+
+    def _cycles(
+        self, model: ModelKind, steps_per_piece: int, machine: Machine | None = None, frequency: float | None = None
+    ) -> dict[str, Cycles]:
+        """Return the cycles of every scenario, of the machine as it is or of one beside it."""
+        machine = self.machine if machine is None else machine
+        frequency = self.frequency if frequency is None else frequency
         if model not in ("fitted", "self-consistent", "nonlinear"):
             raise ValueError(f'model: found {model!r}, expected "fitted", "self-consistent" or "nonlinear"')
         whole("steps_per_piece", steps_per_piece)
@@ -254,10 +276,10 @@ class DutyProblem:
         for name in self.scenarios:
             change = self._change_of(name)
             if model == "nonlinear":
-                found[name] = NonlinearCycles(self.machine, self.frequency, change)
+                found[name] = NonlinearCycles(machine, frequency, change)
             else:
                 mode: OwnCycle = model
-                found[name] = LinearCycles(self.machine, self.frequency, mode, steps_per_piece, change=change)
+                found[name] = LinearCycles(machine, frequency, mode, steps_per_piece, change=change)
         return found
 
     def _rough_cycles(self) -> dict[str, Cycles]:
@@ -336,7 +358,7 @@ class DutyProblem:
         subproblem: Subproblem,
         lower: float,
         ranges: Mapping[str, float],
-        slopes: dict[str, float],
+        slopes: tuple[dict[str, float], dict[str, dict[str, float]]],
     ) -> DutySolution:
         values = self.values_at(found.setting)
         machine, frequency = with_values(self.machine, values), float(values.get("frequency", self.frequency))
@@ -365,7 +387,8 @@ class DutyProblem:
             tolerances=tolerances,
             nonlinear_objective=nonlinear[0] if found.status != "infeasible" else math.nan,
             duals=found.duals,
-            slopes=slopes,
+            slopes=slopes[0],
+            setting_slopes=slopes[1],
             active=found.active + self._at_bounds(found.setting),
             residual=found.residual,
             at_kink=found.at_kink,

@@ -44,6 +44,9 @@ class DutySolution(Value):
     """How fast the best objective changes with parameters that were asked for, the settings following; nan where the
     status is not "optimal", where the optimum lies on a kink, of which one side's derivatives do not tell, and where a
     cycle beside it cannot be followed."""
+    setting_slopes: dict[str, dict[str, float]]
+    """How fast the best settings change with these parameters, by parameter and variable; nan where `slopes` are, and
+    where the problem beside has no optimum next to this one."""
     active: tuple[str, ...]
     """Constraints, and bounds of variables, that hold the design."""
     residual: float

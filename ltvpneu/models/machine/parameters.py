@@ -74,9 +74,9 @@ def pulse_edges(machine: Machine) -> tuple[float, ...]:
     return on.edges if isinstance(on, Pulses) else (on.start, on.start + on.width)
 
 
-def around(name: str, value: float) -> tuple[float, float]:
+def around(name: str, value: float, step: float = STEP) -> tuple[float, float]:
     """Return values of a parameter a little above and below, on one side only where it can go no further."""
-    step = STEP * (abs(value) if value and not is_angle(name) else 1.0)
+    step = step * (abs(value) if value and not is_angle(name) else 1.0)
     high, low = value + step, value - step
     if name == "duty":
         return min(high, 1.0), max(low, 0.0)
@@ -86,7 +86,7 @@ def around(name: str, value: float) -> tuple[float, float]:
 
 
 def moved(
-    machine: Machine, frequency: float, name: str
+    machine: Machine, frequency: float, name: str, step: float = STEP
 ) -> tuple[tuple[tuple[Machine, float], tuple[Machine, float]], float]:
     """Return machine and frequency with a parameter a little above and below, and the difference.
 
@@ -97,10 +97,9 @@ def moved(
     """
     value = present_value(machine, frequency, name)
     if name == "frequency":
-        step = STEP * value
-        up, down = frequency + step, frequency - step
-        return ((machine.at(up), up), (machine.at(down), down)), 2 * step
-    high, low = around(name, value)
+        up, down = frequency * (1 + step), frequency * (1 - step)
+        return ((machine.at(up), up), (machine.at(down), down)), up - down
+    high, low = around(name, value, step)
     above, below = (with_values(machine, {name: beside}) for beside in (high, low))
     return ((above, frequency), (below, frequency)), high - low
 

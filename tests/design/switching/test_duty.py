@@ -14,6 +14,7 @@ from ltvpneu.errors import LtvpneuError, NotConvexError
 from ltvpneu.models.cycles.figures import Figure
 from ltvpneu.models.cycles.linear_cycles import LinearCycles
 from ltvpneu.models.cycles.nonlinear_cycles import NonlinearCycles
+from ltvpneu.models.machine.parameters import present_value, with_values
 
 FIGURES = [Figure("mean", 0), Figure("minimum", 0), Figure("maximum", 0), Figure("air_use")]
 
@@ -362,6 +363,22 @@ def test_a_correction_that_fails_leaves_the_linear_optimum(machine):
     )
     assert found.status == "optimal"
     assert (found.corrected is None) == bool(found.not_corrected)
+
+
+def test_settings_follow_parameters_as_optima_beside_do(machine):
+    def best(machine, **more):
+        return design.optimize_duty(
+            machine, (6.0, 18.0), mean={"position": 0.045}, amplitude={"position": 4e-3}, minimize="air_use", **more
+        )
+
+    names = ["supply_pressure", "load.mass", "load.dry_friction"]
+    found = best(machine, slopes=names)
+    for name in names:
+        value = present_value(machine, 10.0, name)
+        ends = [best(with_values(machine, {name: share * value})) for share in (1.01, 0.99)]
+        for variable, slope in found.setting_slopes[name].items():
+            expected = (ends[0].values[variable] - ends[1].values[variable]) / (0.02 * value)
+            assert slope == pytest.approx(expected, rel=2e-2), (name, variable)
 
 
 def proportional():
