@@ -89,6 +89,9 @@ SAMPLES: dict[str, Callable[[], Any]] = {
     "FlowPath": lambda: DRIVE.flow_paths[0],
     "ForcingSolution": forcing,
     "Gas": lp.Gas,
+    "GoalCheck": lambda: design.check_goals(
+        MACHINE, 15.0, {"load.mass": "+-5 %"}, goals=design.Goals(mean={"position": (None, 0.06)}), n=2
+    ),
     "Goals": lambda: design.Goals(mean={"position": 0.045}, cycle={"position": (np.array([0.0]), np.array([0.04]))}),
     "Gradient": lambda: lp.sensitivity(lp.ltv_model(MACHINE, 15.0).system).of_mean("position"),
     "Gramians": lambda: lp.gramians(lp.ltv_model(MACHINE, 15.0).system),

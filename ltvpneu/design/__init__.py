@@ -12,9 +12,10 @@ from ltvpneu.design.sizing import Sized, Sizing, size
 from ltvpneu.design.stability_map import Box, StabilityMap, stability_map
 from ltvpneu.design.switching.cycle import LinearizedCycle
 from ltvpneu.design.switching.duty_problem import DutyProblem, duty_problem
-from ltvpneu.design.switching.duty_solution import Chosen, DutySolution
+from ltvpneu.design.switching.duty_solution import Chosen, DutySolution, GoalCheck
 from ltvpneu.design.switching.goals import Goals
 from ltvpneu.design.switching.optimize import optimize_duty
+from ltvpneu.design.switching.tolerances import check_goals
 from ltvpneu.design.switching.trade_off import TradeOff, trade_off
 from ltvpneu.design.valve_limits import ValveLimits
 
@@ -28,6 +29,7 @@ __all__ = [
     "DutySolution",
     "ForcingProblem",
     "ForcingSolution",
+    "GoalCheck",
     "Goals",
     "LinearizedCycle",
     "Measurement",
@@ -39,6 +41,7 @@ __all__ = [
     "TradeOff",
     "ValveLimits",
     "air_use",
+    "check_goals",
     "common_lyapunov",
     "duty_map",
     "duty_model",

@@ -207,6 +207,10 @@ def _add_goals(parser: argparse.ArgumentParser) -> None:
         "--choose", action="append", default=[], metavar="NAME=A,B,...",
         help="lists to choose from, such as bore=25mm,32mm, valve=SMC SY3000,SMC SY5000 or pulses=1,2",
     )  # fmt: skip
+    parser.add_argument(
+        "--range", **several,
+        help="what is not known well, such as supply_pressure=+-5%% or load.force=0N..50N: goals hold at the worst",
+    )  # fmt: skip
     parser.add_argument("--pulses", type=int, metavar="N", help="pulses a period (default: the machine's own)")
     parser.add_argument(
         "--follow", metavar="CYCLE",

@@ -26,7 +26,7 @@ from ltvpneu.physics.iso6358 import ANR_DENSITY
 from ltvpneu.physics.liquid import Liquid
 
 if TYPE_CHECKING:
-    from ltvpneu.design import DutySolution
+    from ltvpneu.design import DutySolution, GoalCheck
 
 Bounds = tuple[float, float]
 DIMENSIONS: dict[str, Dimension] = {
@@ -70,6 +70,7 @@ class Request(NamedTuple):
     cycle: tuple[FloatArray, FloatArray] | None
     """Angles [rad], and the positions wanted there [m]."""
     choices: dict[str, list[Any]]
+    ranges: dict[str, Any]
 
 
 def parse_request(machine: Machine, options: Any) -> Request:
@@ -123,6 +124,7 @@ def parse_request(machine: Machine, options: Any) -> Request:
     return Request(
         frequency, variables or None, mean, amplitude, maximum, minimum, air_use, minimize, scenarios, valve,
         options.pulses, cycle, {name: entries for name, entries in map(partial(_choices, around), options.choose)},
+        {name: span for name, span in map(partial(_varied, around), options.range)},
     )  # fmt: skip
 
 
@@ -139,6 +141,16 @@ def _choices(around: float, text: str) -> tuple[str, list[Any]]:
     if name == "frequency":
         return name, [_frequency([part]) for part in parts]
     return name, [_quantity("--choose", name, part, around) for part in parts]
+
+
+def _varied(around: float, text: str) -> tuple[str, Any]:
+    """Return the range of what is not known well, by its name."""
+    name, value = _named("--range", text, ())
+    if value.startswith("+-"):
+        return name, value
+    if ".." not in value:
+        raise ValueError(f"--range: found {value!r} for {name}, expected a part such as +-10%, or 0N..50N")
+    return name, _range("--range", name, value, around)
 
 
 def wanted_cycle(text: str) -> tuple[FloatArray, FloatArray]:
@@ -202,6 +214,7 @@ def run_request(machine: Machine, request: Request, *, model: Any, globally: boo
             **asked(machine, request),
             pulses=request.pulses,
             choices=request.choices or None,
+            ranges=request.ranges or None,
             model=model,
             globally=globally,
             correct=True,
@@ -277,6 +290,8 @@ def optimum_text(found: "DutySolution") -> str:
         parts.append(
             f"global search: no setting gets the objective below {found.lower_bound:.6g} ({found.objective:.6g})"
         )
+    if found.ranges is not None:
+        parts.append(f"over the ranges: {ranges_text(found.ranges)}")
     unheld = _unheld(found)
     if unheld:
         parts.append(unheld)
@@ -311,6 +326,19 @@ def optimum_text(found: "DutySolution") -> str:
     if found.active:
         parts.append(f"\nactive: {', '.join(found.active)}")
     return "\n".join(parts)
+
+
+def ranges_text(check: "GoalCheck") -> str:
+    """Return how the machine keeps the goals over ranges, in a sentence or two."""
+    told = f"{int(check.kept.sum())} of {len(check.points)} machines looked at keep all goals"
+    missed = [f"{name} by up to {check.worst(name):.3g} (SI)" for name in check.broken if name in check.missed]
+    if missed:
+        told += f"; missed: {', '.join(missed)}"
+    if check.failures:
+        number, reason = next(iter(check.failures.items()))
+        where = ", ".join(f"{name} {value:.4g}" for name, value in check.point(number).items())
+        told += f"; {len(check.failures)} have no cycle, as at {where}: {reason}"
+    return told
 
 
 def choices_text(found: "DutySolution") -> str:
@@ -471,7 +499,14 @@ def optimum_data(found: "DutySolution") -> dict[str, Any]:
         for one in found.choices
     ]
     corrected = data(found.corrected) if found.corrected is not None else None
-    return data(found) | {"corrected": corrected, "choice": found.choice, "choices": choices}
+    check = found.ranges
+    ranges = None if check is None else {
+        "n_points": len(check.points),
+        "n_kept": int(check.kept.sum()),
+        "missed_by_at_most": {name: check.worst(name) for name in check.missed},
+        "without_a_cycle": [check.point(number) | {"reason": text} for number, text in check.failures.items()],
+    }  # fmt: skip
+    return data(found) | {"ranges": ranges, "corrected": corrected, "choice": found.choice, "choices": choices}
 
 
 def write_optimum(found: "DutySolution", results: Results) -> None:

@@ -5,6 +5,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import final
 
+import numpy as np
+from scipy.stats import binomtest
+
+from ltvpneu._arrays import BoolArray, FloatArray
 from ltvpneu._values import Value
 from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.machine.machine import Machine
@@ -82,6 +86,8 @@ class DutySolution(Value):
     """The same problem solved from here on the nonlinear machine, where that was asked for."""
     not_corrected: str = ""
     """Why it was not, where that was asked for."""
+    ranges: "GoalCheck | None" = None
+    """Where it was designed for ranges: what was checked of the nonlinear machine over them."""
     choice: dict[str, str | float] = field(default_factory=dict[str, str | float])
     """Where there were lists to choose from: the entry of each."""
     choices: "tuple[Chosen, ...]" = ()
@@ -100,9 +106,13 @@ class DutySolution(Value):
 
     @property
     def broken(self) -> tuple[str, ...]:
-        """Goals that the nonlinear machine breaks by more than `tolerances`, or has no cycle to keep them with."""
+        """Goals that the nonlinear machine breaks by more than `tolerances`, or has no cycle to keep them with.
+
+        Those that it breaks somewhere in the ranges come last, as "amplitude position, in the ranges".
+        """
         missed = self.nonlinear_constraints
-        return tuple(name for name, by in missed.items() if not by <= self.tolerances[name])
+        found = [name for name, by in missed.items() if not by <= self.tolerances[name]]
+        return (*found, *(() if self.ranges is None else (f"{name}, in the ranges" for name in self.ranges.broken)))
 
 
 @final
@@ -131,3 +141,75 @@ class Chosen(Value):
         """Whether the nonlinear machine keeps all goals."""
         found = self.final
         return found is not None and found.status != "infeasible" and not found.broken
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class GoalCheck(Value):
+    """How the nonlinear machine keeps goals while numbers of it vary."""
+
+    names: tuple[str, ...]
+    """Of what varies."""
+    points: FloatArray
+    """Its values, SI units, (n_points, n_names): corners first, then those inside."""
+    n_inside: int
+    missed: dict[str, FloatArray]
+    """By how much each goal is missed, in its own unit, (n_points,); nan where the machine has no cycle."""
+    tolerances: dict[str, float]
+    """By how much a goal may be missed and still counts as kept: a hundredth of its bound."""
+    objectives: FloatArray
+    """What is minimized, (n_points,)."""
+    failures: dict[int, str]
+    """Why the machine has no cycle, by the point's number."""
+
+    def __repr__(self) -> str:
+        low, high = self.interval
+        inside = (
+            f"{self.share:.3g} of those inside ({low:.2g} to {high:.2g} by 95 %)" if self.n_inside else "none inside"
+        )
+        return f"<GoalCheck: {int(self.kept.sum())} of {len(self.points)} points keep all goals; {inside}>"
+
+    @property
+    def kept(self) -> BoolArray:
+        """Whether the machine keeps all goals, to within their tolerances, (n_points,)."""
+        found = np.ones(len(self.points), dtype=np.bool_)
+        found[list(self.failures)] = False
+        for name, by in self.missed.items():
+            found &= by <= self.tolerances[name]
+        return found
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """Goals that are missed by more than their tolerances somewhere; "a cycle" where there is none."""
+        found = [name for name, by in self.missed.items() if np.nanmax(by, initial=0.0) > self.tolerances[name]]
+        return (*found, *(["a cycle"] if self.failures else []))
+
+    @property
+    def share(self) -> float:
+        """How many of the points inside keep all goals [-]: with random points, the probability; nan without any."""
+        return float(np.mean(self.kept[len(self.points) - self.n_inside :])) if self.n_inside else math.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Where the probability lies by 95 %, of as many random points (Wilson); nan without any."""
+        if not self.n_inside:
+            return math.nan, math.nan
+        count = int(self.kept[len(self.points) - self.n_inside :].sum())
+        found = binomtest(count, self.n_inside).proportion_ci(0.95, "wilson")
+        return float(found.low), float(found.high)
+
+    def worst(self, goal: str) -> float:
+        """Return the most by which a goal is missed, in its own unit.
+
+        Raises
+        ------
+        ValueError
+            There is no such goal.
+        """
+        if goal not in self.missed:
+            raise ValueError(f"goal: found {goal!r}, expected one of {', '.join(self.missed) or 'none'}")
+        return float(np.nanmax(self.missed[goal], initial=0.0))
+
+    def point(self, number: int) -> dict[str, float]:
+        """Return what varies, at a point."""
+        return dict(zip(self.names, self.points[number].tolist(), strict=True))

@@ -48,11 +48,7 @@ class Goals(Value):
 
 def objective_of(problem: DutyProblem, goals: Goals, minimize: str) -> Any:
     """Return what `minimize` names as a cvxpy expression, in several scenarios of the worst one."""
-    kind, _, signal = str(minimize).partition(" ")
-    if kind not in OBJECTIVES or (signal and kind != "amplitude"):
-        near = get_close_matches(str(minimize), OBJECTIVES, 1, 0.4)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"minimize: found {minimize!r}, expected one of {', '.join(OBJECTIVES)}{hint}")
+    kind, _, signal = check_objective(minimize).partition(" ")
     if kind == "switching":
         return problem.switching()
     if kind == "mean_error" and not goals.mean:
@@ -70,6 +66,22 @@ def objective_of(problem: DutyProblem, goals: Goals, minimize: str) -> Any:
         return sum(_distance(cycle, name, *wanted) for name, wanted in (goals.cycle or {}).items())
 
     return cp.maximum(*found) if len(found := [of(c) for c in problem.scenarios.values()]) > 1 else found[0]
+
+
+def check_objective(minimize: str) -> str:
+    """Return the name of an objective.
+
+    Raises
+    ------
+    ValueError
+        There is none of that name.
+    """
+    kind, _, signal = str(minimize).partition(" ")
+    if kind not in OBJECTIVES or (signal and kind != "amplitude"):
+        near = get_close_matches(str(minimize), OBJECTIVES, 1, 0.4)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"minimize: found {minimize!r}, expected one of {', '.join(OBJECTIVES)}{hint}")
+    return minimize
 
 
 def _mean_error(cycle: LinearizedCycle, signal: str, wanted: Wanted) -> Any:

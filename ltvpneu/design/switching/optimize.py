@@ -13,8 +13,9 @@ from ltvpneu.design.switching.choices import Choices, over_choices
 from ltvpneu.design.switching.duty_problem import DutyProblem, ModelKind, Scenario, duty_problem
 from ltvpneu.design.switching.duty_solution import DutySolution
 from ltvpneu.design.switching.duty_variables import Bounds, least_shares
-from ltvpneu.design.switching.goals import Goals, Wanted, constraints_of, objective_of
+from ltvpneu.design.switching.goals import Goals, Wanted, check_objective, constraints_of, objective_of
 from ltvpneu.design.switching.pulses_along import pulses_along
+from ltvpneu.design.switching.tolerances import Ranges, over_ranges, spans_of
 from ltvpneu.design.valve_limits import ValveLimits
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.machine.machine import Machine, expect_machine
@@ -41,6 +42,7 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     slopes: Sequence[str] = (),
     pulses: int | None = None,
     choices: Choices | None = None,
+    ranges: Ranges | None = None,
     progress: Progress | None = None,
 ) -> DutySolution:
     """Return the duty, or other switching angles, frequency and pressures, that reach a wanted motion best.
@@ -74,6 +76,10 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
         "valve" (names of `lp.catalogue()`, or `CatalogueValve`), "bore" ([m], or `CatalogueCylinder`), "pulses",
         "frequency" [Hz], or any number of the machine by its name, as "load.mass". See `lp.with_valve` and
         `lp.with_bore` for what changes with a valve and a bore.
+    ranges : mapping of str to (float, float) or str, optional
+        What is not known well: least and greatest values of numbers of the machine, or texts as "+-10 %". The goals
+        that are bounds hold, and the objective counts, at the worst of corners and points inside, on the nonlinear
+        machine; `.ranges` says what was checked. See `check_goals` for how likely goals are kept.
     correct : bool
         Go on from the linear model's optimum on the nonlinear machine; the result is in `.corrected`, or why there is
         none, as where stiction holds the machine there, in `.not_corrected`.
@@ -113,20 +119,32 @@ def optimize_duty(  # noqa: PLR0913 - keyword-only, each with its default
     minimize = str(minimize).strip()
     if goals.cycle and minimize != "tracking":
         raise ValueError(f'goals: found a wanted cycle with minimize={minimize!r}, expected minimize="tracking"')
-    if choices is not None:
+    if choices is not None or ranges is not None:
 
-        def solve_one(machine: Machine, given: dict[str, Any], told: Progress | None) -> DutySolution:
-            asked: dict[str, Any] = {"frequency": frequency, "pulses": pulses, **given}
-            return optimize_duty(
-                machine, variables=variables, minimize=minimize, goals=goals, scenarios=scenarios, valve=valve,
-                model=model, steps_per_piece=steps_per_piece, globally=globally, correct=correct, slopes=slopes,
-                progress=told, **asked,
-            )  # fmt: skip
+        def again(machine: Machine, **changed: Any) -> DutySolution:
+            asked: dict[str, Any] = {
+                "frequency": frequency, "variables": variables, "minimize": minimize, "goals": goals,
+                "scenarios": scenarios, "valve": valve, "model": model, "steps_per_piece": steps_per_piece,
+                "globally": globally, "correct": correct, "slopes": slopes, "pulses": pulses, "progress": progress,
+            }  # fmt: skip
+            return optimize_duty(machine, **{**asked, **changed})
 
-        free = {"duty"} if variables is None else set(variables)
-        chosen = over_choices(machine, choices, free, solve_one, progress)
-        assert chosen[0].solution is not None
-        return replace(chosen[0].solution, choice=chosen[0].choice, choices=chosen)
+        free = set(variables or {"duty": ()}) | ({"frequency"} if isinstance(frequency, tuple) else set[str]())
+        if choices is not None:
+
+            def solve_one(machine: Machine, given: dict[str, Any], told: Progress | None) -> DutySolution:
+                return again(machine, ranges=ranges, progress=told, **given)
+
+            chosen = over_choices(machine, choices, free, solve_one, progress)
+            assert chosen[0].solution is not None
+            return replace(chosen[0].solution, choice=chosen[0].choice, choices=chosen)
+        assert ranges is not None
+        spans = spans_of(machine, frequency[0] if isinstance(frequency, tuple) else frequency, ranges, free)
+
+        def solve_for(worst: Mapping[str, Scenario]) -> DutySolution:
+            return again(machine, scenarios={**(scenarios or {}), **worst})
+
+        return over_ranges(spans, (goals, check_objective(minimize)), solve_for, progress)
     if pulses is not None:
         machine = _pulsed(machine, frequency, whole("pulses", pulses))
         if variables is None and minimize == "tracking":
