@@ -191,9 +191,12 @@ def _add_goals(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--mean", **several, help="time mean of a state, such as position=45mm or position=40mm..50mm")
     parser.add_argument(
-        "--max", **several, help="upper bounds, such as amplitude=2mm, pressure_1=3.5bar or air_use=2g/s"
+        "--max",
+        **several,
+        help="upper bounds, such as amplitude=2mm, pressure_1=3.5bar, air_use=2g/s, speed=0.3m/s or impact_energy=0.1J",
     )
-    parser.add_argument("--min", **several, help="lower bounds of states, such as position=10mm")
+    parser.add_argument("--min", **several, help="lower bounds, such as position=10mm, speed=0.1m/s or life=2000h")
+    parser.add_argument("--life", type=float, metavar="N", help="switches that the valve is good for, such as 50e6")
     parser.add_argument(
         "--minimize",
         help="amplitude, air_use, mean_error, tracking or switching (default: amplitude, or tracking with --follow)",

@@ -8,8 +8,9 @@ from tqdm import tqdm
 
 from ltvpneu.errors import NotConvergedError
 from ltvpneu.face.machine_file import load_machine
-from ltvpneu.face.optimize import followed_text, optimum_text, parse_request, run_request, write_optimum
+from ltvpneu.face.optimize import followed_text, optimum_text, run_request, write_optimum
 from ltvpneu.face.report import LABELS, depends, multipliers_text, remarks, study_text
+from ltvpneu.face.request import parse_request
 from ltvpneu.face.results import Results
 from ltvpneu.face.study import Study, frequency_grid, n_parts, run_study
 from ltvpneu.face.study_data import study_data

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu.face.optimize import Request, asked, progress_bar, setting_shown
+from ltvpneu.face.optimize import asked, progress_bar, setting_shown
+from ltvpneu.face.request import Request
 from ltvpneu.face.results import Results
 from ltvpneu.face.shown import objective_unit
 from ltvpneu.face.tables import heading, table

@@ -9,7 +9,7 @@ import ltvpneu as lp
 from ltvpneu.face import study_design
 from ltvpneu.face.cli import _parser as parser_of
 from ltvpneu.face.cli import main
-from ltvpneu.face.optimize import Request, parse_request
+from ltvpneu.face.request import Request, parse_request
 
 
 def test_an_optimum_is_printed_and_written(tmp_path, capsys):
@@ -42,6 +42,55 @@ def test_scenarios_delays_and_pulses_are_taken(capsys):
     assert next(line for line in printed.splitlines() if "command on" in line).split()[2:] == ["-3.000", "ms"] * 2
 
 
+def test_a_wanted_cycle_is_followed(tmp_path, capsys):
+    cycle = tmp_path / "cycle.csv"
+    cycle.write_text("degrees,mm\n0,45\n90,50\n180,45\n270,40\n")
+    status = main(["optimize", "--frequency", "2", "--pulses", "12", "--follow", str(cycle), "--out", str(tmp_path)])
+    assert status in (0, 1)
+    told = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("wanted cycle"))
+    assert float(told.split()[4]) < 1.0
+    assert len(json.loads((tmp_path / "optimum.json").read_text())["commands"]) == 12
+
+
+@pytest.mark.parametrize(
+    ("rows", "match"),
+    [
+        ("0,45\n90\n", "expected rows of two numbers"),
+        ("0,45,1\n90,50,1\n180,45,1\n", "found 3 columns"),
+        ("0,45\n90,50\n80,45\n", "degrees rising"),
+        ("0,45\n90,50\n", "three or more rows"),
+    ],
+)
+def test_bad_files_of_a_cycle(rows, match, tmp_path, capsys):
+    cycle = tmp_path / "cycle.csv"
+    cycle.write_text(rows)
+    assert main(["optimize", "--frequency", "2", "--pulses", "8", "--follow", str(cycle)]) == 2
+    assert match in capsys.readouterr().err
+
+
+def test_choices_are_listed_best_first(tmp_path, capsys):
+    goals = ["--mean", "position=45mm", "--choose", "frequency=10,14", "--choose", "load.mass=1kg,2kg"]
+    assert main(["optimize", "--frequency", "10", *goals, "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    rows = printed[printed.index("Choices, best first") :].splitlines()[5:9]
+    assert all("keeps all goals" in row for row in rows)
+    data = json.loads((tmp_path / "optimum.json").read_text())
+    assert data["choice"] == data["choices"][0]["choice"]
+    objectives = [one["objective"] for one in data["choices"]]
+    assert objectives == sorted(objectives)
+
+
+def test_ranges_and_named_goals_are_told(tmp_path, capsys):
+    goals = ["--mean", "position=40mm..55mm", "--range", "supply_pressure=+-3%", "--max", "speed=1m/s"]
+    life = ["--min", "life=100h", "--life", "50e6", "--max", "impact_energy=2J", "--min", "speed=1mm/s"]
+    assert main(["optimize", "--frequency", "10..30", *goals, *life, "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "over the ranges: 34 of 34 machines looked at keep all goals" in printed
+    ranges = json.loads((tmp_path / "optimum.json").read_text())["ranges"]
+    assert ranges["n_kept"] == ranges["n_points"] == 34
+    assert set(ranges["missed_by_at_most"]) >= {"speed out", "speed in", "impact_energy out", "least mean position"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
@@ -60,6 +109,15 @@ def test_scenarios_delays_and_pulses_are_taken(capsys):
         (["--scenario", "supply_pressure=10"], "expected a change such as -10%"),
         (["--minimize", "airuse"], "did you mean 'air_use'"),
         (["--pulses", "0"], "--pulses: found 0"),
+        (["--follow", "no.csv"], "expected a sine as 45mm+-10mm, or a file (No such file"),
+        (["--follow", "45+-10"], "found '45' without a unit"),
+        (["--choose", "bores=25"], "did you mean 'bore'"),
+        (["--choose", "bore=25"], "found '25' without a unit"),
+        (["--choose", "pulses=two"], "choices['pulses']: found 'two'"),
+        (["--range", "load.mass=2kg"], "expected a part such as +-10%"),
+        (["--range", "load.mass=+-x%"], "ranges['load.mass']: found '+-x%'"),
+        (["--min", "life=1000h"], "expected --life too"),
+        (["--max", "impact_energy=3N"], "expected a number"),
         (["--shortest-on", "100", "--shortest-off", "100"], "more than a period"),
     ],
 )
@@ -123,7 +181,7 @@ def bounded(machine: str, text: str) -> Request:
     ],
 )
 def test_air_is_bounded_in_any_unit(text, kg_per_s):
-    assert bounded("kunt_singh_1990", f"air_use={text}").air_use == pytest.approx(kg_per_s, rel=1e-12)
+    assert bounded("kunt_singh_1990", f"air_use={text}").named["air_use"] == pytest.approx(kg_per_s, rel=1e-12)
 
 
 @pytest.mark.parametrize(

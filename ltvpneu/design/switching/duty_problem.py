@@ -442,8 +442,8 @@ def duty_problem(
         Switching frequency [Hz]; bounds make it a variable.
     variables : mapping of str to (float, float), optional
         Bounds of what is free: "duty", "offset_angle" [rad], edges of the valve's pulses "on_1", "off_1", "on_2", ...
-        [rad], "more_valves.0.start" [rad], "supply_pressure" [Pa], or any number of the machine as in
-        `parameter_sensitivity`. By default the duty, or, of a machine with several pulses, all edges but the first.
+        [rad], of a second valve "duty_2" and "start_2" [rad], "supply_pressure" [Pa], or any number of the machine as
+        in `parameter_sensitivity`. By default the duty, or, of a machine with several pulses, all edges but the first.
         Of a valve with ramps, pulses and pauses stay long enough for it to open and shut fully: bounds of the duty that
         reach further are drawn in, as `DutyProblem.bounds` shows.
     scenarios : mapping of str to callable, optional

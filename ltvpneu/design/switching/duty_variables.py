@@ -12,8 +12,8 @@ import numpy as np
 
 from ltvpneu._arrays import finite
 from ltvpneu.design.valve_limits import ValveLimits
-from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.machine.parameters import is_angle, present_value, pulse_edge, pulse_edges, with_values
+from ltvpneu.models.machine.machine import Machine, Valve
+from ltvpneu.models.machine.parameters import is_angle, is_duty, present_value, pulse_edge, pulse_edges, with_values
 from ltvpneu.physics.on_off_valve import OnOffValve
 from ltvpneu.physics.proportional import Command
 from ltvpneu.physics.valve import RotaryValve
@@ -35,7 +35,7 @@ def least_shares(machine: Machine) -> tuple[float, float]:
         own = getattr(valve, "ramp", 0.0)
         ramps = [(path.opening, own) for path in machine.flow_paths if path.valve == 0]
     ramps_on, ramps_off = (max([ramp for way, ramp in ramps if way == phase], default=0.0) for phase in ("on", "off"))
-    shortest_on, shortest_off = shortest_commands(machine)
+    shortest_on, shortest_off = shortest_commands(valve)
     speed = machine.switching_frequency or 0.0
     # A ramp up and one down, and between them as much as any pulse has to last.
     least_on, least_off = (
@@ -45,9 +45,8 @@ def least_shares(machine: Machine) -> tuple[float, float]:
     return least_on, least_off
 
 
-def shortest_commands(machine: Machine) -> tuple[float, float]:
-    """Return the shortest command on, and off, that the machine's valve allows, opens fully by, and shuts by [s]."""
-    valve = machine.valve
+def shortest_commands(valve: Valve) -> tuple[float, float]:
+    """Return the shortest command on, and off, that a valve allows, opens fully by, and shuts by [s]."""
     if not isinstance(valve, OnOffValve):
         return 0.0, 0.0
     lag = valve.opening_delay - valve.closing_delay
@@ -129,8 +128,8 @@ def check_bounds(machine: Machine, frequency: float, name: str, pair: Bounds) ->
         near = get_close_matches(name, known, 1, 0.5)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ValueError(f"variables: found {name!r}, which is no number of the machine ({error}){hint}") from None
-    if name == "duty" and not (low >= 0 and high <= 1):
-        raise ValueError(f"variables: found bounds {low:g} to {high:g} of 'duty', expected 0 to 1")
+    if is_duty(name) and not (low >= 0 and high <= 1):
+        raise ValueError(f"variables: found bounds {low:g} to {high:g} of {name!r}, expected 0 to 1")
     if re.fullmatch(r"valve\.command\.angles\.[0-9]+", name):
         # The points' order is a constraint: others may move too.
         if not (low >= 0 and high < 2 * math.pi):
@@ -152,7 +151,7 @@ def pulse_limits(
     """
     frequency: Any = variables.get("frequency", cp.Constant(slowest))
     # A command shorter than the valve's delay does not reach it.
-    own_on, own_off = shortest_commands(machine)
+    own_on, own_off = shortest_commands(machine.valve)
     shortest_on = max(valve.shortest_on, valve.opening_delay, own_on)
     shortest_off = max(valve.shortest_off, valve.closing_delay, own_off)
     if (shortest_on + shortest_off) * slowest > 1:
@@ -166,8 +165,9 @@ def pulse_limits(
     )
     # What moves also keeps its ramps apart.
     fully_on, fully_off = least_shares(machine)
+    others = _limits_of_others(machine, frequency, variables)
     if "duty" in variables:
-        return {
+        return others | {
             "shortest pulse": variables["duty"] >= cp.maximum(least_on, fully_on),
             "shortest pause": 1 - variables["duty"] >= cp.maximum(least_off, fully_off),
         }
@@ -178,7 +178,7 @@ def pulse_limits(
     if "offset_angle" in variables:
         # On while both windows are open: for half a turn less the offset, whichever way.
         edges = [cp.Constant(0.0), math.pi - cp.abs(variables["offset_angle"])]
-    found = _command_in_order(machine, variables)
+    found = others | _command_in_order(machine, variables)
     for i, (before, after) in enumerate(
         zip(edges, [*edges[1:], *(edge + 2 * math.pi for edge in edges[:1])], strict=True)
     ):
@@ -199,6 +199,22 @@ def pulse_limits(
                 f"valve: the machine's {name[9:]} lasts {open_for / (2 * math.pi * slowest):g} s, which is shorter "
                 "than the valve can be told to; expected it longer, or among the variables"
             )
+    return found
+
+
+def _limits_of_others(
+    machine: Machine, frequency: Any, variables: Mapping[str, cp.Expression]
+) -> dict[str, cp.Constraint]:
+    """Return constraints that keep pulses and pauses of the other valves, whose duties are variables, long enough."""
+    found: dict[str, cp.Constraint] = {}
+    for number, valve in enumerate(machine.more_valves, start=2):
+        for name in (f"duty_{number}", f"more_valves.{number - 2}.duty"):
+            if name not in variables:
+                continue
+            shares = variables[name], 1 - variables[name]
+            for what, time, share in zip(("pulse", "pause"), shortest_commands(valve), shares, strict=True):
+                if time:
+                    found[f"shortest {what} of valve {number}"] = share >= time * frequency
     return found
 
 

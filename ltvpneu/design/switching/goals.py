@@ -1,5 +1,6 @@
 """The usual goals of a design of switching, written down for `duty_problem`."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -9,10 +10,11 @@ import cvxpy as cp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ltvpneu._arrays import finite, finite_array
+from ltvpneu._arrays import finite, finite_array, positive
 from ltvpneu._values import Value
 from ltvpneu.design.switching.cycle import LinearizedCycle
 from ltvpneu.design.switching.duty_problem import NOMINAL, DutyProblem
+from ltvpneu.models.machine.machine import Machine
 
 Wanted = float | tuple[float | None, float | None]
 """A value, or the least and the greatest one, None for no bound."""
@@ -34,6 +36,13 @@ class Goals(Value):
         Upper bound of the greatest, lower bound of the least value, in every scenario.
     air_use : float, optional
         The most mass flow from the supply, mean [kg/s].
+    speed : float or (float or None, float or None), optional
+        Of the piston, in either direction [m/s]: one value is the most. The least is that of half the velocity's
+        peak-to-peak.
+    impact_energy : float, optional
+        The most that the moving mass may have anywhere in the cycle, and so at a stop [J].
+    life : (float, float), optional
+        Hours that the valve has to last, and the switches that it is good for.
     cycle : mapping of str to (array_like, array_like), optional
         A wanted cycle: angles [rad] and a state's values there, for `minimize="tracking"`.
     """
@@ -43,6 +52,9 @@ class Goals(Value):
     maximum: Mapping[str, float] | None = None
     minimum: Mapping[str, float] | None = None
     air_use: float | None = None
+    speed: Wanted | None = None
+    impact_energy: float | None = None
+    life: tuple[float, float] | None = None
     cycle: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None
 
 
@@ -103,6 +115,8 @@ def _distance(cycle: LinearizedCycle, signal: str, angles: ArrayLike, values: Ar
 def constraints_of(problem: DutyProblem, goals: Goals, minimize: str) -> dict[str, cp.Constraint]:
     """Return what is wanted as cvxpy constraints by name; no means where `minimize` is the distance from them."""
     found: dict[str, Any] = {}
+    if goals.life is not None:
+        found["life"] = problem.switching() <= most_switching(goals.life)
     for name, cycle in problem.scenarios.items():
         where = "" if name == NOMINAL else f", {name}"
         for signal, wanted in (goals.mean or {}).items():
@@ -127,9 +141,44 @@ def constraints_of(problem: DutyProblem, goals: Goals, minimize: str) -> dict[st
                     f"minimum, maximum: found at least {low:g} and at most {(goals.maximum or {})[signal]:g} for "
                     f"{signal!r}; they contradict each other"
                 )
+        for kind, (low, high) in speeds(goals, cycle.machine).items():
+            if low is not None:
+                found[f"least {kind}{where}"] = cycle.affine_amplitude("velocity") >= low
+            if high is not None:
+                found[f"{kind} out{where}"] = cycle.maximum("velocity") <= high
+                found[f"{kind} in{where}"] = cycle.minimum("velocity") >= -high
         if goals.air_use is not None:
             found[f"air_use{where}"] = cycle.air_use() <= finite("air_use", goals.air_use, "kg/s")
     return found
+
+
+def speeds(goals: Goals, machine: Machine) -> dict[str, tuple[float | None, float | None]]:
+    """Return the least and the greatest speed that goals ask for [m/s], by the goal's name."""
+    found: dict[str, tuple[float | None, float | None]] = {}
+    if goals.speed is not None:
+        wanted = goals.speed if isinstance(goals.speed, tuple) else (None, goals.speed)
+        low, high = wanted_bounds("speed", wanted)
+        for value in (low, high):
+            if value is not None:
+                positive("speed", value, "m/s")
+        found["speed"] = low, high
+    if goals.impact_energy is not None:
+        found["impact_energy"] = (
+            None,
+            math.sqrt(2 * positive("impact_energy", goals.impact_energy, "J") / machine.load.mass),
+        )
+    return found
+
+
+def most_switching(life: tuple[float, float]) -> float:
+    """Return how often a valve may switch for it to last [1/s], from hours and the switches that it is good for."""
+    asked: Any = life
+    if not isinstance(asked, tuple) or len(life) != 2:
+        raise ValueError(f"life: found {asked!r}, expected hours, and the switches that the valve is good for")
+    hours, switches = (
+        positive(f"life: {what}", value) for what, value in zip(("hours", "switches"), life, strict=True)
+    )
+    return switches / (3600 * hours)
 
 
 def _between(

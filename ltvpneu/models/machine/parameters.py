@@ -23,6 +23,7 @@ def present_value(machine: Machine, frequency: float, name: str) -> float:
     ValueError
         The machine has no number of that name.
     """
+    name = _long(name)
     if name == "frequency":
         return positive("frequency", frequency, "Hz")
     if name == "duty":
@@ -45,7 +46,8 @@ def present_value(machine: Machine, frequency: float, name: str) -> float:
 def with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
     """Return the machine with parameters at other values; a "frequency" among them is that at which it switches."""
     edges = list(pulse_edges(machine)) if any(pulse_edge(name) is not None for name in values) else []
-    for name, value in values.items():
+    for given, value in values.items():
+        name = _long(given)
         edge = pulse_edge(name)
         if edge is not None:
             edges[edge] = value
@@ -58,6 +60,12 @@ def with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
         else:
             machine = _replaced(machine, name.split("."), value)
     return machine.with_pulses(list(zip(edges[::2], edges[1::2], strict=True))) if edges else machine
+
+
+def _long(name: str) -> str:
+    """Return the dotted name of what has a plain one: "duty_2" and "start_2" are those of the second valve."""
+    found = re.fullmatch(r"(duty|start)_([2-9])", name)
+    return name if found is None else f"more_valves.{int(found[2]) - 2}.{found[1]}"
 
 
 def pulse_edge(name: str) -> int | None:
@@ -78,7 +86,7 @@ def around(name: str, value: float, step: float = STEP) -> tuple[float, float]:
     """Return values of a parameter a little above and below, on one side only where it can go no further."""
     step = step * (abs(value) if value and not is_angle(name) else 1.0)
     high, low = value + step, value - step
-    if name == "duty":
+    if is_duty(name):
         return min(high, 1.0), max(low, 0.0)
     if re.fullmatch(r".*command\.openings\.[0-9]+", name):
         return min(high, 1.0), max(low, -1.0)
@@ -104,9 +112,14 @@ def moved(
     return ((above, frequency), (below, frequency)), high - low
 
 
+def is_duty(name: str) -> bool:
+    """Whether a parameter is a valve's duty [-]."""
+    return _long(name).rpartition(".")[2] == "duty"
+
+
 def is_angle(name: str) -> bool:
     """Whether a parameter is an angle of the valve [rad], or its duty [-]: of the size of one, whatever its value."""
-    last = name.rpartition(".")[2]
+    last = _long(name).rpartition(".")[2]
     return last in ("duty", "offset_angle", "start", "width") or pulse_edge(name) is not None
 
 

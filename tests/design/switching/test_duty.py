@@ -381,6 +381,67 @@ def test_settings_follow_parameters_as_optima_beside_do(machine):
             assert slope == pytest.approx(expected, rel=2e-2), (name, variable)
 
 
+def test_speed_impact_and_life_are_goals(machine):
+    goals = design.Goals(speed=0.15, impact_energy=0.02, life=(500.0, 50e6))
+    found = design.optimize_duty(machine, (6.0, 40.0), goals=goals, mean={"position": (0.03, 0.06)}, minimize="air_use")
+    assert found.status == "optimal"
+    orbit = found.nonlinear["nominal"]
+    speed = max(orbit.maximum("velocity"), -orbit.minimum("velocity"))
+    assert speed <= 0.15 * 1.001
+    assert machine.load.mass * speed**2 / 2 <= 0.02 * 1.002
+    assert found.frequency <= 50e6 / 500 / 3600 + 1e-6
+    # Each of them holds the design, or none would be needed: the frequency is at what the life allows, or the speed.
+    assert found.frequency == pytest.approx(50e6 / 500 / 3600) or speed == pytest.approx(0.15, rel=1e-3)
+    faster = design.optimize_duty(
+        machine, (6.0, 40.0), goals=design.Goals(speed=(0.4, None)), mean={"position": (0.03, 0.06)}, minimize="air_use"
+    )
+    assert faster.nonlinear["nominal"].amplitude("velocity") >= 0.4 * 0.999
+
+
+@pytest.mark.parametrize(
+    ("goals", "said"),
+    [
+        ({"speed": -1.0}, "speed"),
+        ({"speed": (2.0, 1.0)}, "contradict"),
+        ({"impact_energy": 0.0}, "impact_energy"),
+        ({"life": 1000.0}, "expected hours, and the switches"),
+        ({"life": (1000.0, -5.0)}, "life: switches"),
+    ],
+)
+def test_bad_named_goals(machine, goals, said):
+    with pytest.raises(ValueError, match=said):
+        design.optimize_duty(machine, 12.0, goals=design.Goals(**goals))
+
+
+def test_two_valves_have_duties_of_their_own():
+    parts = lp.catalogue()
+    load = lp.Load(mass=3.0, spring_stiffness=4e3, spring_preload=-200.0, viscous_damping=60.0)
+    drive = lp.catalogue_drive(
+        parts.cylinders[6], parts.valve("CKD M3GA1 2 x 3/2"), stroke=0.1, load=load, supply_pressure=7e5
+    )
+    both = design.optimize_duty(
+        drive, 20.0, {"duty": (0.1, 0.9), "duty_2": (0.1, 0.9)}, mean={"position": 0.05}, minimize="air_use"
+    )
+    assert both.machine.more_valves[0].duty == pytest.approx(both.values["duty_2"])
+    assert both.nonlinear["nominal"].mean("position") == pytest.approx(0.05, abs=2e-4)
+    # The dotted name is the same number.
+    dotted = design.optimize_duty(
+        drive, 20.0, {"duty": (0.1, 0.9), "more_valves.0.duty": (0.1, 0.9)}, mean={"position": 0.05}, minimize="air_use"
+    )
+    assert dotted.objective == pytest.approx(both.objective, rel=1e-6)
+    one = design.optimize_duty(drive, 20.0, mean={"position": 0.05}, minimize="air_use")
+    assert both.objective < one.objective
+    with pytest.raises(ValueError, match="of 'duty_2', expected 0 to 1"):
+        design.duty_problem(drive, 20.0, {"duty_2": (0.1, 1.5)})
+    with pytest.raises(ValueError, match="duty_3"):
+        design.duty_problem(drive, 20.0, {"duty_3": (0.1, 0.5)})
+    slow = dataclasses.replace(
+        drive, more_valves=(dataclasses.replace(drive.more_valves[0], shortest_on=0.01, shortest_off=0.005),)
+    )
+    limits = design.duty_problem(slow, 20.0, {"duty_2": (0.1, 0.95)}).limits
+    assert {"shortest pulse of valve 2", "shortest pause of valve 2"} <= set(limits)
+
+
 def proportional():
     machine = lp.load_machine("double_acting_5_2").without_dry_friction()
     command = lp.Command(angles=(0.0, 2.2, 3.8), openings=(-0.8, 0.9, 0.3))
