@@ -1,7 +1,9 @@
-"""Which of N equal slots of the period the valve is on in: solved for (`pattern_problem`), refitted, solved again.
+"""Which of N equal slots of the period the valve is on in.
 
-Operating points are refitted to the pattern's own cycle until the pattern stays. Whether the goals are kept is what the
-nonlinear machine says (`pattern_machine`), and the best pattern is looked for there in the end.
+The linear model's best is found among all patterns (`enumeration`), of very many slots by mixed-integer programming
+(`pattern_problem`). Its operating points are refitted to that pattern's own cycle until the pattern stays. Whether the
+goals are kept is what the nonlinear machine says (`pattern_machine`), and the best pattern is looked for there in the
+end (`pattern_search`).
 """
 
 from collections.abc import Mapping
@@ -12,8 +14,10 @@ import numpy as np
 
 from ltvpneu._arrays import BoolArray, FloatArray, positive, whole
 from ltvpneu._values import Value
-from ltvpneu.design.pattern.pattern_machine import MOST_ENUMERATED, PatternsOnMachine, Tried
+from ltvpneu.design.pattern.enumeration import MOST_LISTED, LinearFigures, all_patterns, solved_by_listing
+from ltvpneu.design.pattern.pattern_machine import PatternsOnMachine
 from ltvpneu.design.pattern.pattern_problem import Asked, Solved, solved_pattern
+from ltvpneu.design.pattern.pattern_search import Searched, search_patterns
 from ltvpneu.design.pattern.slots import (
     count_pulses,
     first_points,
@@ -23,6 +27,7 @@ from ltvpneu.design.pattern.slots import (
     two_positions,
     with_pattern,
 )
+from ltvpneu.design.progress import Progress
 from ltvpneu.design.switching.goals import Wanted
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.linear.linearize import linearize_steps
@@ -31,6 +36,8 @@ from ltvpneu.periodic.orbits.orbit import Orbit
 from ltvpneu.periodic.systems.system import PeriodicSystem
 
 MOST_ROUNDS = 8
+MOST_ENUMERATED = 500
+"""Patterns that are all tried on the nonlinear machine."""
 
 
 @final
@@ -39,11 +46,11 @@ class PatternSolution(Value):
     """A pattern of slots, and what it is on the nonlinear machine. Without a pattern the figures are nan."""
 
     status: str
-    """"optimal": the machine keeps all goals, and no pattern was found that is better: of all patterns on the machine,
-    where `is_best_of_all`; else on the linear model, and next to it on the machine. "improved": the machine keeps all
-    goals, and no pattern next to this one is better there; the linear model's best was worse. "broken on the machine":
-    the best that was found breaks the goals in `broken` there. "infeasible": no pattern keeps the goals, of all on the
-    machine where `is_best_of_all`, else of those on the linear model."""
+    """"optimal": the machine keeps all goals, and no pattern is better there: all were tried, where `is_best_of_all`,
+    or those that could be better than `bound`. Of more than 24 slots, and where nothing was looked for on the machine,
+    none is better on the linear model. "improved": the machine keeps all goals, and no pattern next to this one is
+    better there. "broken on the machine": the best that was found breaks the goals in `broken` there. "infeasible": no
+    pattern keeps the goals, of all on the machine where `is_best_of_all`, else of those on the linear model."""
     pattern: BoolArray
     """Whether the valve is on, slot by slot, (n_slots,)."""
     value: float
@@ -71,6 +78,12 @@ class PatternSolution(Value):
     missed: dict[str, float]
     """By how much the nonlinear machine misses each goal, in its own unit; 0 where it keeps it within a millionth of
     the state's size, infinite where there is no figure."""
+    bound: float
+    """Of the objective on the nonlinear machine, from below: the value of the best where all patterns were tried; else
+    what no pattern is predicted to go below, were its prediction four standard errors off in its favour. It holds as
+    far as the errors seen of the patterns tried do. Of more than 24 slots nan."""
+    n_allowed: int | None
+    """Patterns that the slots' rules allow, a pattern turned round counting once; of more than 24 slots not counted."""
     n_tried: int
     """Patterns tried on the nonlinear machine."""
     is_best_of_all: bool
@@ -94,7 +107,7 @@ class PatternSolution(Value):
     @property
     def n_pulses(self) -> int:
         """How often the valve goes on in a period."""
-        return count_pulses(self.pattern)
+        return int(count_pulses(self.pattern))
 
 
 def optimize_pattern(  # noqa: PLR0913 - keyword-only, each with its default
@@ -110,6 +123,7 @@ def optimize_pattern(  # noqa: PLR0913 - keyword-only, each with its default
     shortest_off: int = 1,
     refit: bool = True,
     correct: bool | None = None,
+    progress: Progress | None = None,
 ) -> PatternSolution:
     """Return in which slots of the period the valve is best on.
 
@@ -135,8 +149,11 @@ def optimize_pattern(  # noqa: PLR0913 - keyword-only, each with its default
     refit : bool
         Fit the operating points to the pattern's own cycle and solve again, until the pattern stays.
     correct : bool, optional
-        Look for the best pattern on the nonlinear machine: among all, of up to 12 slots; of more, next to the linear
-        model's best and on from there. By default where `refit` is. Without, the linear model's best comes back.
+        Look for the best pattern on the nonlinear machine: among all, of up to 500; of more, and up to 24 slots, among
+        those predicted to be better; of more slots, next to the linear model's best and on from there. By default where
+        `refit` is. Without, the linear model's best comes back.
+    progress : callable, optional
+        Called with a text and a share done, 0 to 1.
 
     Returns
     -------
@@ -168,15 +185,17 @@ def optimize_pattern(  # noqa: PLR0913 - keyword-only, each with its default
     positive("frequency", frequency, "Hz")
     N = whole("n_slots", n_slots, 2)
     ask = Asked(machine, minimize, dict(mean or {}), dict(amplitude or {}), n_pulses, (shortest_on, shortest_off), N)
-    linear = _on_the_linear_model(machine, frequency, ask, refit)
+    patterns = all_patterns(ask) if N <= MOST_LISTED else None
+    linear = _on_the_linear_model(machine, frequency, ask, refit, patterns)
     trials = PatternsOnMachine(machine, frequency, ask)
     correct = refit if correct is None else correct
-    every = correct and N <= MOST_ENUMERATED
-    best = _on_the_machine(trials, linear.solved, correct)
-    if best is None or (every and not best.kept):
-        return _nothing(linear, trials, every)
+    every = correct and patterns is not None and len(patterns) <= MOST_ENUMERATED
+    searched = _on_the_machine(trials, linear, patterns, correct, progress)
+    if searched is None or not (searched.best.kept or (linear.solved.status == "optimal" and not every)):
+        return _nothing(linear, trials, patterns, every)
+    best = searched.best
     own = linear.solved.status == "optimal" and np.array_equal(best.pattern, linear.solved.pattern)
-    status = "optimal" if every or own else "improved"
+    status = "optimal" if searched.ended or (own and patterns is None) else "improved"
     return PatternSolution(
         status=status if best.kept else "broken on the machine",
         pattern=best.pattern,
@@ -192,6 +211,8 @@ def optimize_pattern(  # noqa: PLR0913 - keyword-only, each with its default
         nonlinear_value=best.value,
         figures=best.figures,
         missed=best.missed,
+        bound=searched.bound,
+        n_allowed=None if patterns is None else len(patterns),
         n_tried=trials.n_tried,
         is_best_of_all=every,
     )
@@ -205,6 +226,8 @@ class _Linear(NamedTuple):
     areas: FloatArray
     point: FloatArray
     solved: Solved
+    figures: LinearFigures | None
+    """Of all patterns, where they were listed."""
     n_rounds: int
     settled: bool
 
@@ -223,7 +246,9 @@ class _Linear(NamedTuple):
         )
 
 
-def _on_the_linear_model(machine: Machine, frequency: float, ask: Asked, refit: bool) -> _Linear:
+def _on_the_linear_model(
+    machine: Machine, frequency: float, ask: Asked, refit: bool, patterns: BoolArray | None
+) -> _Linear:
     """Solve for the pattern, fit the operating points to its cycle, and again until it stays."""
     areas = two_positions(machine)
     point = first_points(machine, frequency)
@@ -231,30 +256,46 @@ def _on_the_linear_model(machine: Machine, frequency: float, ask: Asked, refit: 
     while True:
         rounds += 1
         linearization = linearize_steps(machine, point, areas, "paper")
-        solved = solved_pattern(ask, slots_of(machine, linearization, point, areas, 1 / (frequency * ask.n_slots)))
+        slots = slots_of(machine, linearization, point, areas, 1 / (frequency * ask.n_slots))
+        if patterns is None:
+            solved, figures = solved_pattern(ask, slots), None
+        else:
+            solved, figures = solved_by_listing(ask, slots, patterns)
         text = "".join(map(str, solved.pattern.astype(int)))
         settled = solved.status == "optimal" and text == before
         if solved.status != "optimal" or not refit or text in seen or rounds == MOST_ROUNDS:
-            return _Linear(machine, frequency, areas, point, solved, rounds, settled)
+            return _Linear(machine, frequency, areas, point, solved, figures, rounds, settled)
         seen.add(text)
         before = text
         system = pattern_system(machine, linearization, solved.pattern, frequency)
         point = points_of(machine, system, solved.pattern, point)
 
 
-def _on_the_machine(trials: PatternsOnMachine, solved: Solved, correct: bool) -> Tried | None:
+def _on_the_machine(
+    trials: PatternsOnMachine,
+    linear: _Linear,
+    patterns: BoolArray | None,
+    correct: bool,
+    progress: Progress | None,
+) -> Searched | None:
     """Return the best pattern on the nonlinear machine, or what the linear model's is there; None without a pattern."""
-    if correct and trials.ask.n_slots <= MOST_ENUMERATED:
-        return trials.best_of_all()
-    if solved.status != "optimal":
-        return None
-    return trials.best_from(solved.pattern) if correct else trials.tried(solved.pattern)
+    if not correct:
+        own = linear.solved.status == "optimal"
+        return Searched(trials.tried(linear.solved.pattern), np.nan, True) if own else None
+    if patterns is None or linear.figures is None:
+        own = linear.solved.status == "optimal"
+        return Searched(trials.best_from(linear.solved.pattern), np.nan, False) if own else None
+    if len(patterns) <= MOST_ENUMERATED:
+        best = trials.best_of_all(patterns, progress)
+        return None if best is None else Searched(best, best.value if best.kept else np.nan, True)
+    return search_patterns(trials, patterns, linear.figures, progress)
 
 
-def _nothing(linear: _Linear, trials: PatternsOnMachine, every: bool) -> PatternSolution:
+def _nothing(linear: _Linear, trials: PatternsOnMachine, patterns: BoolArray | None, every: bool) -> PatternSolution:
     return PatternSolution(
         status="infeasible", pattern=np.zeros(0, dtype=np.bool_), value=np.nan, relaxation=np.nan,
         linear_pattern=linear.solved.pattern, n_rounds=linear.n_rounds, settled=False, system=None, machine=None,
         frequency=float(linear.frequency), nonlinear="no pattern was found", nonlinear_value=np.nan, figures={},
-        missed={}, n_tried=trials.n_tried, is_best_of_all=every,
+        missed={}, bound=np.nan, n_allowed=None if patterns is None else len(patterns), n_tried=trials.n_tried,
+        is_best_of_all=every,
     )  # fmt: skip

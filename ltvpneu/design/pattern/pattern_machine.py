@@ -1,12 +1,9 @@
-"""Patterns of slots on the nonlinear machine: whether it keeps the goals, and the best pattern there.
+"""Patterns of slots on the nonlinear machine: whether it keeps the goals, and better patterns next to one.
 
 The linear model's operating points are two, one on and one off, so its best pattern may break a goal on the machine, or
-be far from the best there. A nonlinear cycle takes milliseconds and a pattern turned round is the same pattern, so of
-up to `MOST_ENUMERATED` slots all are tried, 352 of 12 slots. Of more, single slots are changed and neighbours
-exchanged, from the linear model's best pattern, as long as that is better on the machine.
+be far from the best there.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple, final
 
 import numpy as np
@@ -15,13 +12,12 @@ from ltvpneu._arrays import BoolArray
 from ltvpneu.design.air_use import air_use
 from ltvpneu.design.pattern.pattern_problem import Asked, Goal, turned_first
 from ltvpneu.design.pattern.slots import count_pulses, with_pattern
+from ltvpneu.design.progress import Progress
 from ltvpneu.errors import LtvpneuError
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 from ltvpneu.periodic.orbits.orbit import Orbit
 
-MOST_ENUMERATED = 12
-"""Slots up to which all patterns are tried."""
 MOST_MOVES = 100
 """Changes of a pattern of more slots, one after the other."""
 KEPT_WITHIN = 1e-6
@@ -60,7 +56,6 @@ class PatternsOnMachine:
 
     def __init__(self, machine: Machine, frequency: float, ask: Asked) -> None:
         self.machine, self.frequency, self.ask = machine, frequency, ask
-        self._scales = dict(zip(machine.states, machine.state_scales.tolist(), strict=True))
         self._known: dict[bytes, Tried] = {}
 
     @property
@@ -76,9 +71,13 @@ class PatternsOnMachine:
             self._known[key] = self._try(turned)
         return self._known[key]
 
-    def best_of_all(self) -> Tried | None:
-        """Return the best of all patterns that the slots' rules allow; None where they allow none."""
-        found = [self.tried(one) for one in all_patterns(self.ask.n_slots) if allowed(one, self.ask)]
+    def best_of_all(self, patterns: BoolArray, progress: Progress | None) -> Tried | None:
+        """Return the best of patterns, each tried; None of none."""
+        found: list[Tried] = []
+        for number, pattern in enumerate(patterns):
+            if progress is not None:
+                progress("trying patterns on the machine", number / len(patterns))
+            found.append(self.tried(pattern))
         return min(found, default=None, key=_rank)
 
     def best_from(self, pattern: BoolArray) -> Tried:
@@ -103,12 +102,12 @@ class PatternsOnMachine:
             return self._without_cycle(pattern, orbit)
         figures = {goal.name: getattr(orbit, goal.kind)(goal.state) for goal in goals}
         missed = {goal.name: self._missed_by(goal, figures[goal.name]) for goal in goals}
-        distance = sum(missed[goal.name] / self._scales[goal.state] for goal in goals)
+        distance = sum(missed[goal.name] / self.ask.scales[goal.state] for goal in goals)
         return Tried(pattern, orbit, self._value(pattern, machine, orbit), figures, missed, distance)
 
     def _missed_by(self, goal: Goal, figure: float) -> float:
         by = goal.missed_by(figure)
-        return by if by > KEPT_WITHIN * self._scales[goal.state] else 0.0
+        return by if by > KEPT_WITHIN * self.ask.scales[goal.state] else 0.0
 
     def _without_cycle(self, pattern: BoolArray, orbit: Orbit | str) -> Tried:
         names = [goal.name for goal in self.ask.goals]
@@ -121,26 +120,13 @@ class PatternsOnMachine:
             return air_use(machine, orbit)
         if self.ask.minimize == "mean_error":
             return sum(
-                goal.missed_by(orbit.mean(goal.state)) / self._scales[goal.state] for goal in self.ask.wanted_means
+                goal.missed_by(orbit.mean(goal.state)) / self.ask.scales[goal.state] for goal in self.ask.wanted_means
             )
         return float(count_pulses(pattern))
 
 
 def _rank(one: Tried) -> tuple[float, float]:
     return one.rank
-
-
-def all_patterns(n_slots: int) -> Iterator[BoolArray]:
-    """Yield every pattern once, of all its turns the one whose slots on come first."""
-    everything = (1 << n_slots) - 1
-    for number in range(1 << n_slots):
-        turned = number
-        for _ in range(n_slots):
-            turned = ((turned << 1) & everything) | (turned >> (n_slots - 1))
-            if turned > number:
-                break
-        else:
-            yield np.array([bool(number >> (n_slots - 1 - slot) & 1) for slot in range(n_slots)])
 
 
 def allowed(pattern: BoolArray, ask: Asked) -> bool:

@@ -21,7 +21,7 @@ import highspy
 import numpy as np
 from cvxpy.error import SolverError as CvxpySolverError
 
-from ltvpneu._arrays import BoolArray, finite, whole
+from ltvpneu._arrays import BoolArray, FloatArray, finite, whole
 from ltvpneu.design.pattern.slots import Slots, state_bounds
 from ltvpneu.design.switching.goals import Wanted, wanted_bounds
 from ltvpneu.errors import SolverError
@@ -46,6 +46,10 @@ class Goal(NamedTuple):
         """Return by how much a figure is outside the bounds."""
         return max(self.low - figure, figure - self.high, 0.0)
 
+    def beyond(self, figures: FloatArray, within: float = 0.0) -> FloatArray:
+        """Return by how much figures are, those within a tolerance not at all."""
+        return np.maximum(np.maximum(self.low - figures, figures - self.high) - within, 0.0)
+
 
 class Asked:
     """The goals, checked."""
@@ -69,6 +73,7 @@ class Asked:
                 raise ValueError(f"mean, amplitude: found {name!r}, expected one of {', '.join(machine.states)}")
         self.minimize, self.n_slots = minimize, n_slots
         self.states = machine.states
+        self.scales = dict(zip(machine.states, machine.state_scales.tolist(), strict=True))
         self.mean = {name: wanted_bounds(f"mean[{name!r}]", wanted) for name, wanted in mean.items()}
         self.amplitude = {name: finite(f"amplitude[{name!r}]", most) for name, most in amplitude.items()}
         self.n_pulses = None if n_pulses is None else whole("n_pulses", n_pulses)
@@ -111,10 +116,14 @@ def solved_pattern(ask: Asked, slots: Slots) -> Solved:
                 best = value, np.asarray(on.value, dtype=np.float64) > 0.5
     if best is None:
         return Solved("infeasible", np.zeros(0, dtype=np.bool_), np.nan, np.nan)
+    return Solved("optimal", turned_first(best[1]), best[0] * written.unit, relaxation(ask, slots))
+
+
+def relaxation(ask: Asked, slots: Slots) -> float:
+    """Return the least objective if slots could be on in part."""
     relaxed = _problem(ask, slots, boolean=False)
     _run(relaxed.problem)
-    bound = float(cast(float, relaxed.problem.value))
-    return Solved("optimal", turned_first(best[1]), best[0] * written.unit, bound * written.unit)
+    return float(cast(float, relaxed.problem.value)) * relaxed.unit
 
 
 def turned_first(pattern: BoolArray) -> BoolArray:

@@ -169,6 +169,6 @@ def with_pattern(machine: Machine, pattern: BoolArray) -> Machine:
     return machine.with_pulses(pulses)
 
 
-def count_pulses(pattern: BoolArray) -> int:
-    """Return how often the valve goes on in a period."""
-    return int(np.sum(pattern & ~np.roll(pattern, 1)))
+def count_pulses(patterns: BoolArray) -> FloatArray:
+    """Return how often the valve goes on in a period of patterns, (..., n_slots) to (...)."""
+    return np.asarray(np.sum(patterns & ~np.roll(patterns, 1, axis=-1), axis=-1), dtype=np.float64)
