@@ -109,7 +109,9 @@ def _starts(slots: Slots, patterns: BoolArray) -> FloatArray:
     always = patterns.all(axis=1) | ~patterns.any(axis=1)
     # Always on or always off, a volume may stay shut, and any pressure in it is a cycle.
     whole_maps[always, :n, :n] = 0.0
-    found: FloatArray = np.linalg.solve(np.eye(n) - whole_maps[:, :n, :n], whole_maps[:, :n, n:])[..., 0]
+    found: FloatArray = np.linalg.solve(np.eye(n) - whole_maps[:, :n, :n], whole_maps[:, :n, n:])[..., 0].astype(
+        np.float64
+    )
     for i in np.flatnonzero(always):
         try:
             found[i] = pattern_states(slots, patterns[i].astype(int))[0]

@@ -43,14 +43,15 @@ MOST_ENUMERATED = 500
 @final
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PatternSolution(Value):
-    """A pattern of slots, and what it is on the nonlinear machine. Without a pattern the figures are nan."""
+    """A pattern of slots, and what it is on the nonlinear machine. Figures that there are none of are nan."""
 
     status: str
     """"optimal": the machine keeps all goals, and no pattern is better there: all were tried, where `is_best_of_all`,
     or those that could be better than `bound`. Of more than 24 slots, and where nothing was looked for on the machine,
     none is better on the linear model. "improved": the machine keeps all goals, and no pattern next to this one is
     better there. "broken on the machine": the best that was found breaks the goals in `broken` there. "infeasible": no
-    pattern keeps the goals, of all on the machine where `is_best_of_all`, else of those on the linear model."""
+    pattern keeps the goals, of all on the machine where `is_best_of_all`, else of those on the linear model and of
+    those tried."""
     pattern: BoolArray
     """Whether the valve is on, slot by slot, (n_slots,)."""
     value: float
@@ -195,7 +196,7 @@ def optimize_pattern(  # noqa: PLR0913 - keyword-only, each with its default
         return _nothing(linear, trials, patterns, every)
     best = searched.best
     own = linear.solved.status == "optimal" and np.array_equal(best.pattern, linear.solved.pattern)
-    status = "optimal" if searched.ended or (own and patterns is None) else "improved"
+    status = "optimal" if searched.ended or (own and (patterns is None or not correct)) else "improved"
     return PatternSolution(
         status=status if best.kept else "broken on the machine",
         pattern=best.pattern,
@@ -281,7 +282,7 @@ def _on_the_machine(
     """Return the best pattern on the nonlinear machine, or what the linear model's is there; None without a pattern."""
     if not correct:
         own = linear.solved.status == "optimal"
-        return Searched(trials.tried(linear.solved.pattern), np.nan, True) if own else None
+        return Searched(trials.tried(linear.solved.pattern), np.nan, False) if own else None
     if patterns is None or linear.figures is None:
         own = linear.solved.status == "optimal"
         return Searched(trials.best_from(linear.solved.pattern), np.nan, False) if own else None

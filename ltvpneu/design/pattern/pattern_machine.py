@@ -20,6 +20,8 @@ from ltvpneu.periodic.orbits.orbit import Orbit
 
 MOST_MOVES = 100
 """Changes of a pattern of more slots, one after the other."""
+MOST_PERIODS = 1000
+"""Valve periods after which a pattern counts as one without a cycle: chaos."""
 KEPT_WITHIN = 1e-6
 """By how much a goal may be missed and still counts as kept, of the state's size [-]."""
 
@@ -94,7 +96,7 @@ class PatternsOnMachine:
     def _try(self, pattern: BoolArray) -> Tried:
         machine, goals = with_pattern(self.machine, pattern), self.ask.goals
         try:
-            orbit = nonlinear_orbit(machine, self.frequency)
+            orbit = nonlinear_orbit(machine, self.frequency, max_periods=MOST_PERIODS)
         except LtvpneuError as error:
             return self._without_cycle(pattern, str(error))
         if not orbit.is_isolated:

@@ -7,9 +7,11 @@ import pytest
 
 import ltvpneu as lp
 from ltvpneu import design
-from ltvpneu.design.pattern.pattern_machine import PatternsOnMachine, all_patterns, allowed
-from ltvpneu.design.pattern.pattern_problem import Asked, turned_first
-from ltvpneu.design.pattern.slots import first_points, pattern_system, two_positions, with_pattern
+from ltvpneu.design.pattern import pattern as pattern_module
+from ltvpneu.design.pattern.enumeration import all_patterns, linear_figures, solved_by_listing
+from ltvpneu.design.pattern.pattern_machine import PatternsOnMachine, allowed
+from ltvpneu.design.pattern.pattern_problem import Asked, solved_pattern, turned_first
+from ltvpneu.design.pattern.slots import first_points, pattern_system, slots_of, two_positions, with_pattern
 from ltvpneu.models.linear.linearize import linearize_steps
 
 
@@ -176,16 +178,80 @@ def test_a_pattern_is_never_optimal_where_the_machine_breaks_a_goal(machine, n_s
 
 def test_of_many_slots_no_pattern_next_to_the_answer_is_better_on_the_machine(machine):
     goals = {"position": (0.04, 0.05)}
-    found = design.optimize_pattern(machine, 4.0, 14, mean=goals)
-    assert not found.is_best_of_all
-    trials = PatternsOnMachine(machine, 4.0, Asked(machine, "amplitude", goals, {}, None, (1, 1), 14))
+    found = design.optimize_pattern(machine, 4.0, 26, mean=goals, n_pulses=2)
+    assert (found.is_best_of_all, found.n_allowed) == (False, None)
+    assert (found.status == "improved") == (not np.array_equal(found.pattern, found.linear_pattern))
+    assert np.isnan(found.bound)
+    trials = PatternsOnMachine(machine, 4.0, Asked(machine, "amplitude", goals, {}, 2, (1, 1), 26))
     own = trials.tried(found.linear_pattern)
     assert own.distance > 0 or found.nonlinear_value <= own.value
-    assert (found.status == "improved") == (not np.array_equal(found.pattern, found.linear_pattern))
-    for slot in range(14):
+    for slot in range(26):
         beside = found.pattern.copy()
         beside[slot] = not beside[slot]
-        assert trials.tried(beside).rank >= (0.0, found.nonlinear_value)
+        if allowed(beside, trials.ask):
+            assert trials.tried(beside).rank >= (0.0, found.nonlinear_value)
+
+
+@pytest.mark.parametrize("frequency", [4.0, 10.0])
+@pytest.mark.parametrize(
+    "goals",
+    [
+        {"mean": {"position": (0.044, 0.046)}},
+        {"mean": {"position": (0.03, 0.035)}, "minimize": "air_use"},
+        {"mean": {"position": 0.06}, "amplitude": {"position": 0.01}, "minimize": "mean_error"},
+        {"mean": {"position": (0.04, 0.05)}, "amplitude": {"position": 0.012}, "minimize": "switching"},
+    ],
+)
+def test_a_search_by_prediction_finds_the_best_of_all(machine, frequency, goals, monkeypatch):
+    """Of 352 patterns, of which it tries a third."""
+    monkeypatch.setattr(pattern_module, "MOST_ENUMERATED", 0)
+    found = design.optimize_pattern(machine, frequency, 12, **goals)
+    monkeypatch.setattr(pattern_module, "MOST_ENUMERATED", 500)
+    best = design.optimize_pattern(machine, frequency, 12, **goals)
+    assert (best.n_tried, best.n_allowed, best.is_best_of_all) == (352, 352, True)
+    assert not found.is_best_of_all
+    assert found.n_tried < 250
+    assert found.status == "optimal"
+    assert found.nonlinear_value == pytest.approx(best.nonlinear_value, rel=1e-6)
+    assert found.bound <= found.nonlinear_value
+    assert best.bound == best.nonlinear_value
+
+
+def test_listing_all_patterns_solves_the_mixed_integer_problem(machine):
+    areas, point = two_positions(machine), first_points(machine, 4.0)
+    slots = slots_of(machine, linearize_steps(machine, point, areas, "paper"), point, areas, 1 / 40.0)
+    for minimize, n_pulses, shortest in (("amplitude", None, (1, 1)), ("air_use", 2, (2, 1)), ("switching", 3, (1, 2))):
+        ask = Asked(machine, minimize, {"position": (0.04, 0.05)}, {"position": 0.02}, n_pulses, shortest, 10)
+        by_listing = solved_by_listing(ask, slots, all_patterns(ask))[0]
+        by_highs = solved_pattern(ask, slots)
+        assert by_listing.status == by_highs.status
+        assert by_listing.value == pytest.approx(by_highs.value, rel=1e-6, nan_ok=True)
+
+
+def test_figures_of_many_patterns_are_those_of_each(machine):
+    areas, point = two_positions(machine), first_points(machine, 4.0)
+    linearization = linearize_steps(machine, point, areas, "paper")
+    slots = slots_of(machine, linearization, point, areas, 1 / 36.0)
+    patterns = all_patterns(Asked(machine, "amplitude", {}, {}, None, (1, 1), 9))
+    figures = linear_figures(slots, patterns)
+    for pattern, means, amplitudes in zip(patterns, figures.means, figures.amplitudes, strict=True):
+        orbit = lp.steady_state(pattern_system(machine, linearization, pattern, 4.0))
+        assert means == pytest.approx([orbit.mean(state) for state in machine.states], rel=1e-8, abs=1e-9)
+        assert amplitudes == pytest.approx(np.ptp(orbit.step_states, axis=0) / 2, rel=1e-7, abs=1e-9)
+
+
+def test_twenty_four_slots_with_rules_are_listed_and_none_is_lost(machine):
+    ask = Asked(machine, "amplitude", {}, {}, 2, (3, 3), 24)
+    listed = {one.tobytes() for one in all_patterns(ask)}
+    assert all(allowed(np.frombuffer(one, dtype=np.bool_), ask) for one in listed)
+    count = 2 + len({
+        turned_first(np.repeat([True, False] * (len(runs) // 2), runs)).tobytes()
+        for runs in [
+            *((a, 24 - a) for a in range(3, 22)),
+            *((a, b, c, 24 - a - b - c) for a, b, c in itertools.product(range(3, 16), repeat=3) if a + b + c <= 21),
+        ]
+    })  # fmt: skip
+    assert len(listed) == count
 
 
 def test_goals_that_no_pattern_keeps_on_the_machine_are_infeasible(machine):
@@ -194,10 +260,10 @@ def test_goals_that_no_pattern_keeps_on_the_machine_are_infeasible(machine):
     assert (found.status, found.pattern.size, found.is_best_of_all, found.n_tried) == ("infeasible", 0, True, 14)
 
 
-@pytest.mark.parametrize(("n_slots", "count"), [(2, 3), (6, 14), (8, 36), (12, 352)])
-def test_all_patterns_are_there_once_but_for_turns(n_slots, count):
+@pytest.mark.parametrize(("n_slots", "count"), [(2, 3), (6, 14), (8, 36), (12, 352), (16, 4116)])
+def test_all_patterns_are_there_once_but_for_turns(machine, n_slots, count):
     """As many as necklaces of two colors."""
-    patterns = list(all_patterns(n_slots))
+    patterns = all_patterns(Asked(machine, "amplitude", {}, {}, None, (1, 1), n_slots))
     assert len(patterns) == count
     assert all(np.array_equal(pattern, turned_first(pattern)) for pattern in patterns)
 
@@ -208,6 +274,9 @@ def test_the_slots_rules_hold_round_the_end_of_the_period(machine):
         "11100000": True, "10000001": True, "10000000": False, "11111001": False, "11000111": True,
         "11011000": False, "11111111": True, "00000000": True,
     }.items():  # fmt: skip
+        listed = {one.tobytes() for one in all_patterns(ask)}
+        own = turned_first(np.array([slot == "1" for slot in shown]))
+        assert (own.tobytes() in listed) == is_allowed, shown
         assert allowed(np.array([slot == "1" for slot in shown]), ask) == is_allowed, shown
 
 
