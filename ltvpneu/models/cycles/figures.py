@@ -16,7 +16,8 @@ from ltvpneu._values import Value
 from ltvpneu.models.linear.model import LtvModel
 from ltvpneu.models.machine.machine import Machine
 
-FigureKind = Literal["mean", "minimum", "maximum", "at", "air_use"]
+FigureKind = Literal["mean", "minimum", "maximum", "at", "air_use", "end", "impact"]
+"""The last two are those of moves."""
 WHOLE = -1
 """Instead of a piece's number: all of them."""
 

@@ -54,11 +54,16 @@ class Turn(Value):
     """(n_states,) [m, m/s, Pa, K]"""
     end: FloatArray
     """(n_states,)"""
-    events: tuple[Event, ...]
+    machine: Machine
     record: Record
 
     def __repr__(self) -> str:
         return f"<Turn of {len(self.events)} events, position {self.start[0]:.6g} to {self.end[0]:.6g} m>"
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """What happens on the way, in the order of time."""
+        return _events(self.record, self.machine)
 
     @property
     def sequence(self) -> tuple[str, ...]:
@@ -149,7 +154,7 @@ class PeriodMap(Value):
             state = outcome.state
             records.append(outcome.record)
         record = joined(records, 1 / self.frequency)
-        return Turn(start=read_only(first), end=read_only(state), events=_events(record, machine), record=record)
+        return Turn(start=read_only(first), end=read_only(state), machine=machine, record=record)
 
     def derivative(self, turn: Turn) -> FloatArray:
         """Return the derivative of a turn's end over its start, shape (n_states, n_states), in SI units.

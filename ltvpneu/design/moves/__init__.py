@@ -1,0 +1,1 @@
+"""Moves from rest to rest: when the valves switch."""
