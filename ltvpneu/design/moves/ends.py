@@ -63,13 +63,15 @@ def end_of(machine: Machine, end: Place | Mapping[str, Wanted], hold: bool | Non
         Unknown states, contradictory bounds, a place beyond the stops or one that no pressures hold.
     """
     given: Any = end
+    is_place = not isinstance(given, Mapping) and np.ndim(given) == 0
+    bounds: dict[str, tuple[float | None, float | None]]
     if isinstance(given, Mapping):
         named: dict[str, Any] = dict(given)  # pyright: ignore[reportUnknownArgumentType]
         _check_names("end", machine, named)
         if not named:
             raise ValueError("end: found no states, expected some, such as a position [m]")
         bounds = {name: wanted_bounds(f"end: {name}", wanted) for name, wanted in named.items()}
-    elif np.ndim(given) == 0:
+    elif is_place:
         value = finite("end", given, "m")
         bounds = {"position": (value, value), "velocity": (0.0, 0.0)}
     else:
@@ -82,8 +84,7 @@ def end_of(machine: Machine, end: Place | Mapping[str, Wanted], hold: bool | Non
         raise ValueError(
             f"end: found position {found:g} m, expected it between the end stops ({lower:g} to {upper:g} m)"
         )
-    if hold is None:
-        hold = np.ndim(given) == 0 and not isinstance(given, Mapping)
+    hold = is_place if hold is None else hold
     if not hold:
         return End(bounds, None)
     if place[0] is None or place[0] != place[1]:

@@ -47,6 +47,8 @@ class Look:
     positions: Mapping[Position, Machine]
     start: FloatArray
     end: End
+    bounds: tuple[FloatArray, FloatArray]
+    """The least and the greatest values of the states on the way, (n_states,), infinite where there is no bound."""
     max_time: float
     shortest: float
     """[s]"""
@@ -65,7 +67,7 @@ class Look:
         modes = len(self.positions)
         orders = modes * max(modes - 1, 1) ** n_switches
         points = int((MOST_LOOKED_AT / orders) ** (1 / max(n_switches, 1)))
-        self._follow((), np.zeros(0), self.start, (n_switches, min(max(points, 3), 80)), progress)
+        self._follow((), np.zeros(0), (self.start, 0.0), (n_switches, min(max(points, 3), 80)), progress)
         best: list[Candidate] = []
         for one in sorted(self.found, key=lambda one: one.rank):
             if sum(one.order == other.order for other in best) < MOST_OF_ONE_ORDER:
@@ -78,11 +80,12 @@ class Look:
         self,
         order: tuple[Position, ...],
         durations: FloatArray,
-        state: FloatArray,
+        begin: tuple[FloatArray, float],
         left: tuple[int, int],
         progress: Progress | None,
     ) -> None:
-        n_left, points = left
+        """Follow a move on from a state that broke the bounds on the way there by some sum."""
+        (state, broken), (n_left, points) = begin, left
         longest = self.max_time - float(durations.sum())
         for number, (position, held) in enumerate(self.positions.items()):
             if (order and order[-1] == position) or longest <= 2 * self.shortest:
@@ -96,17 +99,25 @@ class Look:
                 continue
             if n_left == 0:
                 times = np.linspace(self.shortest, longest, INSTANTS)
-                rank = WEIGHT * self.missed(way.at(times)) + (durations.sum() + times) / self.max_time
+                states = way.at(times)
+                missed = self.missed(states) + np.maximum(self._broken(states), broken)
+                rank = WEIGHT * missed + (durations.sum() + times) / self.max_time
                 best = int(np.argmin(rank))
-                self.found.append(
-                    Candidate(float(rank[best]), (*order, position), np.append(durations, times[best]))
-                )
+                self.found.append(Candidate(float(rank[best]), (*order, position), np.append(durations, times[best])))
                 continue
             # Closer together at first: parts of a quick move are short.
             shares = ((np.arange(points) + 0.5) / points) ** 1.5
             times = self.shortest + shares * (longest - 2 * self.shortest)
-            for time, there in zip(times.tolist(), way.at(times).T, strict=True):
-                self._follow((*order, position), np.append(durations, time), there, (n_left - 1, points), None)
+            states = way.at(times)
+            there = zip(times.tolist(), states.T, np.maximum(self._broken(states), broken).tolist(), strict=True)
+            for time, after, by in there:
+                self._follow((*order, position), np.append(durations, time), (after, by), (n_left - 1, points), None)
+
+    def _broken(self, states: FloatArray) -> FloatArray:
+        """Return by how much bounds are broken until each of the states, over their sizes, summed, (n,)."""
+        low, high = (bound[:, None] for bound in self.bounds)
+        over = np.maximum(np.maximum(low - states, states - high), 0.0) / self._scales[:, None]
+        return np.maximum.accumulate(over, axis=1).sum(axis=0)
 
     def missed(self, states: FloatArray) -> FloatArray:
         """Return by how much states, (n_states, n), miss what is wanted, each over its size, summed, (n,)."""

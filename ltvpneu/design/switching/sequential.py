@@ -327,6 +327,8 @@ class _State:
 
     def _along_a_kink(self, root: FloatArray) -> bool:
         """Try steps by the mixture of slopes on the sides of a kink; return whether one was taken."""
+        if not self.search.mixes:
+            return False
         for radius in (1e-2, 1e-3, 1e-4):
             self.mixture = mixed_slopes(self._here(), self.beside)
             if self.mixture is None:

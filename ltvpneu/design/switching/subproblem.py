@@ -359,6 +359,8 @@ class Search:
     """Why the last setting without a cycle has none."""
     noted: list[Noted] = field(default_factory=list[Noted])
     """The settings looked at before the search."""
+    mixes: bool = True
+    """Whether slopes on both sides of a kink are mixed for steps along it, which takes many convex problems."""
 
     def note(self, setting: FloatArray, figures: Sequence[BlockFigures]) -> Noted:
         """Remember what objective and constraints are at a setting looked at."""

@@ -59,22 +59,22 @@ class Passage(Value):
 
     @property
     def start(self) -> FloatArray:
-        """(n_states,)"""
+        """The first state, (n_states,)."""
         return self.turns[0].start
 
     @property
     def end(self) -> FloatArray:
-        """(n_states,)"""
+        """The last state, (n_states,)."""
         return self.turns[-1].end
 
     @property
     def durations(self) -> FloatArray:
-        """Of the parts [s], (n_parts,)."""
+        """Durations of the parts [s], (n_parts,)."""
         return np.array([1 / one.frequency for one in self.maps])
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Of the whole way [s]."""
         return float(np.sum(self.durations))
 
     @cached_property
@@ -96,18 +96,21 @@ class Passage(Value):
 
     @property
     def impact_energy(self) -> float:
-        """The most that the moving mass loses at a stop [J]."""
-        mass = self.maps[0].machine.load.mass
-        return max((mass * speed**2 / 2 for turn in self.turns for speed in self._arrivals(turn)), default=0.0)
+        """The most that a stop takes of the moving mass, or would take of what still moves at the end [J]."""
+        speeds = [self.end[1], *(speed for turn in self.turns for speed in self._arrivals(turn))]
+        return self.maps[0].machine.load.mass * max(speed**2 for speed in speeds) / 2
 
     def _arrivals(self, turn: Turn) -> list[float]:
+        """Return the velocities that stops take away."""
         record, machine = turn.record, self.maps[0].machine
-        found: list[float] = []
-        for interval in range(1, record.starts.size):
-            if at_stop(float(record.coefficients[interval, 0, 0]), machine.record):
-                before = float(record.spans[interval - 1] ** np.arange(5) @ record.coefficients[interval - 1, :, 1])
-                found.append(before - float(record.coefficients[interval, 0, 1]))
-        return found
+        before = np.einsum("ip,ip->i", record.spans[:, None] ** np.arange(5), record.coefficients[:, :, 1])
+        places = np.append(record.coefficients[1:, 0, 0], turn.end[0])
+        after = np.append(record.coefficients[1:, 0, 1], turn.end[1])
+        return [
+            float(lost)
+            for place, lost in zip(places.tolist(), (before - after).tolist(), strict=True)
+            if at_stop(place, machine.record)
+        ]
 
     def extreme(self, state: int, *, greatest: bool) -> float:
         """Return a state's greatest or least value on the way."""
