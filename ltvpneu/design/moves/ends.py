@@ -73,7 +73,10 @@ def end_of(machine: Machine, end: Place | Mapping[str, Wanted], hold: bool | Non
         bounds = {name: wanted_bounds(f"end: {name}", wanted) for name, wanted in named.items()}
     elif is_place:
         value = finite("end", given, "m")
-        bounds = {"position": (value, value), "velocity": (0.0, 0.0)}
+        bounds = {"position": (value, value)}
+        if not at_stop(value, machine.record):
+            # A stop takes the velocity.
+            bounds["velocity"] = 0.0, 0.0
     else:
         values = finite_array("end", given, (len(machine.states),))
         bounds = {name: (value, value) for name, value in zip(machine.states, values.tolist(), strict=True)}

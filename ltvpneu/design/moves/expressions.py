@@ -38,7 +38,7 @@ class Move:
         self._known: dict[tuple[str, str], Any] = {}
 
     def end(self, signal: str) -> Any:
-        """Return a state's last value."""
+        """Return a state's last value; at rest, as it would be had nothing stopped the piston: `Passage.unheld_end`."""
         return self._block("end", signal)
 
     def maximum(self, signal: str) -> Any:
@@ -88,7 +88,7 @@ class Move:
 def figure_of(way: Passage, asked: Figure) -> float:
     """Return a figure of a move."""
     if asked.kind == "end":
-        return float(way.end[asked.state])
+        return float(way.unheld_end[0][asked.state])
     if asked.kind == "air_use":
         return way.air_mass
     if asked.kind == "impact":
@@ -99,5 +99,5 @@ def figure_of(way: Passage, asked: Figure) -> float:
 def end_rows(way: Passage, figures: list[Figure]) -> dict[int, FloatArray]:
     """Return the derivatives of those figures that are last values, by their number, over the parts' durations."""
     ends = [number for number, asked in enumerate(figures) if asked.kind == "end"]
-    slopes = way.end_slopes if ends else np.zeros((0, 0))
+    slopes = way.unheld_end[1] if ends else np.zeros((0, 0))
     return {number: slopes[figures[number].state] for number in ends}

@@ -14,6 +14,7 @@ import numpy as np
 
 from ltvpneu._arrays import FloatArray, read_only
 from ltvpneu._values import Value
+from ltvpneu.models.machine.dynamics import STUCK
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.machine.parameters import with_values
 from ltvpneu.models.machine.piston import at_stop
@@ -26,6 +27,8 @@ from ltvpneu.models.nonlinear.polynomial import polynomial_extremes
 Position = tuple[bool, ...]
 """Whether each valve is on, the machine's own first."""
 RTOL = 1e-9
+JUST_BEFORE = 1e-9
+"""Share of a part [-]."""
 
 
 def positions_of(machine: Machine) -> dict[Position, Machine]:
@@ -87,6 +90,47 @@ class Passage(Value):
             if turn is not self.turns[0]:
                 after = after @ period.derivative(turn)
         return np.stack(columns[::-1], axis=1)
+
+    @cached_property
+    def unheld_end(self) -> tuple[FloatArray, FloatArray]:
+        """The last state as it would be had nothing stopped the piston, to first order, and its derivatives.
+
+        Where friction holds the piston in the end, its velocity is zero and stays so for a longer move: an equation
+        that asks for rest has no slope there. So the velocity goes on by the deceleration with which it stopped; and on
+        a stop, the position by the velocity with which it was met. Both are as asked at the moment of coming to rest
+        only. (n_states,), and (n_states, n_parts).
+        """
+        stopped = self._stopped()
+        if stopped is None:
+            return self.end, self.end_slopes
+        part, until, row = stopped
+        # Just before what stops it, whose saltation is not to be in the slopes.
+        first = PeriodMap(
+            machine=self.maps[part].machine, frequency=1 / ((1 - JUST_BEFORE) * until), method=self.maps[part].method
+        )
+        before = Passage(
+            maps=(*self.maps[:part], first), turns=(*self.turns[:part], first.turn(self.turns[part].start))
+        )
+        rate = float(before.end_slopes[row, -1])
+        end, slopes = self.end.copy(), self.end_slopes.copy()
+        end[row] = before.end[row] + rate * (self.duration - before.duration)
+        slopes[row, : part + 1], slopes[row, part + 1 :] = before.end_slopes[row], rate
+        return end, slopes
+
+    def _stopped(self) -> tuple[int, float, int] | None:
+        """Return in which part and when since its start the piston came to the rest that it is at in the end.
+
+        And which state stopped: the velocity by friction, the position by a stop. None where it moves, or never did.
+        """
+        if self.turns[-1].record.modes[-1] != STUCK:
+            return None
+        for part in range(len(self.turns) - 1, -1, -1):
+            moving = np.flatnonzero(self.turns[part].record.modes != STUCK)
+            if moving.size:
+                record, last = self.turns[part].record, int(moving[-1])
+                on_stop = at_stop(float(self.end[0]), self.maps[0].machine.record)
+                return part, float(record.starts[last] + record.spans[last]), 0 if on_stop else 1
+        return None
 
     @property
     def air_mass(self) -> float:
