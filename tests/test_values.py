@@ -108,6 +108,7 @@ SAMPLES: dict[str, Callable[[], Any]] = {
     "Orbit": lambda: lp.nonlinear_orbit(MACHINE, 8.0),
     "OrbitMap": lambda: lp.orbit_map(sprung_less(), [0.5], [8.0]),
     "ParameterSensitivity": lambda: lp.parameter_sensitivity(model(), ["duty"]),
+    "MoveSolution": lambda: design.optimize_move(MACHINE, 0.02, {"position": 0.07}, switches=0),
     "PatternSolution": lambda: design.optimize_pattern(MACHINE, 10.0, 6, mean={"position": (0.03, 0.06)}),
     "DiscretePeriodicSystem": lambda: lp.sampled(lp.ltv_model(MACHINE, 15.0).system),
     "PeriodicSystem": lambda: lp.ltv_model(MACHINE, 15.0).system,

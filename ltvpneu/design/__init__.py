@@ -5,6 +5,9 @@ from ltvpneu.design.certificate import Certificate, common_lyapunov
 from ltvpneu.design.duty_map import DutyMap, duty_map
 from ltvpneu.design.feedback import ClosedLoop, Measurement, duty_model, simulate_closed_loop
 from ltvpneu.design.forcing.forcing import ForcingProblem, ForcingSolution, forcing_problem
+from ltvpneu.design.moves.expressions import Move
+from ltvpneu.design.moves.optimize import optimize_move
+from ltvpneu.design.moves.solution import MoveSolution
 from ltvpneu.design.operating_box import operating_box
 from ltvpneu.design.pattern.pattern import PatternSolution, optimize_pattern
 from ltvpneu.design.position_controller import PositionController
@@ -33,6 +36,8 @@ __all__ = [
     "Goals",
     "LinearizedCycle",
     "Measurement",
+    "Move",
+    "MoveSolution",
     "PatternSolution",
     "PositionController",
     "Sized",
@@ -49,6 +54,7 @@ __all__ = [
     "forcing_problem",
     "operating_box",
     "optimize_duty",
+    "optimize_move",
     "optimize_pattern",
     "simulate_closed_loop",
     "size",

@@ -1,4 +1,4 @@
-"""The command line: `ltvpneu drive`, `simulate`, `study`, `stability`, `optimize`, `sweep` and others."""
+"""The command line: `ltvpneu drive`, `simulate`, `move`, `study`, `stability`, `optimize`, `sweep` and others."""
 
 import argparse
 import importlib
@@ -13,7 +13,7 @@ from ltvpneu.errors import LtvpneuError
 from ltvpneu.face.machine_text import bundled_machines, machine_text, parsed
 from ltvpneu.models.linear.modes import MODES
 
-DRIVE_COMMANDS = ("drive", "simulate", "new", "size", "machines", "schema", "keys")
+DRIVE_COMMANDS = ("drive", "simulate", "move", "new", "size", "machines", "schema", "keys")
 BAD_INPUT, STOPPED = 2, 130
 """Exit codes; 0 and 1 are those of the commands."""
 
@@ -142,6 +142,8 @@ def _add_drive_commands(commands: Any, machine_help: str) -> None:
     )
     simulate.add_argument("--json", action="store_true", help="print times and states as JSON instead, in SI units")
 
+    _add_move(commands, machine_help)
+
     new = commands.add_parser("new", help="print a commented machine file to start from")
     for name, unit, text in (
         ("bore", "MM", "diameter of the piston [mm]"), ("rod", "MM", "diameter of the rod [mm]; 0 for none"),
@@ -178,10 +180,32 @@ def _add_drive_commands(commands: Any, machine_help: str) -> None:
     size.add_argument("--out", type=Path, metavar="DIR", help="folder for the drive's machine file")
     size.add_argument("--json", action="store_true", help="print what was found as JSON, in SI units")
 
+    _add_lists(commands)
+
+
+def _add_lists(commands: Any) -> None:
     machines = commands.add_parser("machines", help="list the bundled machines and valves")
     machines.add_argument("--json", action="store_true", help="as JSON")
     commands.add_parser("schema", help="print the JSON Schema of machine files, for editors")
     commands.add_parser("keys", help="print a page of all keys of machine files")
+
+
+def _add_move(commands: Any, machine_help: str) -> None:
+    move = commands.add_parser("move", help="find when the valves switch for a move from rest to rest")
+    move.add_argument("machine", metavar="MACHINE", help=machine_help)
+    place = "a position such as 20mm, or retracted or extended: a stop"
+    move.add_argument("--from", dest="start", required=True, metavar="PLACE", help=place)
+    move.add_argument("--to", dest="end", required=True, metavar="PLACE", help=place)
+    move.add_argument("--switches", type=int, metavar="N", help="within the move, at most (default: as many as pay)")
+    move.add_argument("--minimize", choices=("time", "air", "impact"), default="time", help="default: time")
+    move.add_argument(
+        "--max", action="append", default=[], metavar="NAME=VALUE",
+        help="upper bounds on the way, such as speed=0.5m/s, impact_energy=0.1J or pressure_1=5bar",
+    )  # fmt: skip
+    move.add_argument("--no-hold", action="store_true", help="the last pressures need not hold the piston")
+    move.add_argument("--longest", metavar="TIME", help="that a move may take, such as 300ms")
+    move.add_argument("--out", type=Path, default=Path("move"), metavar="DIR", help="folder (default: move)")
+    move.add_argument("--json", action="store_true", help="print what was found as JSON, in SI units")
 
 
 def _add_goals(parser: argparse.ArgumentParser) -> None:

@@ -13,10 +13,12 @@ from matplotlib.lines import Line2D
 from ltvpneu._arrays import BoolArray, FloatArray
 from ltvpneu.design.duty_map import DutyMap
 from ltvpneu.design.feedback import ClosedLoop
+from ltvpneu.design.moves.solution import MoveSolution
 from ltvpneu.design.pattern.pattern import PatternSolution
 from ltvpneu.design.stability_map import StabilityMap
 from ltvpneu.design.switching.duty_solution import DutySolution
 from ltvpneu.design.switching.trade_off import TradeOff
+from ltvpneu.face.move_pictures import draw_move
 from ltvpneu.face.shown import PALETTE, objective_unit
 from ltvpneu.models.cycles.orbit_map import OrbitMap
 from ltvpneu.models.machine.machine import Machine
@@ -41,6 +43,8 @@ def draw_design(result: object) -> Figure | None:
         return draw_pattern(result)
     if isinstance(result, TradeOff):
         return draw_trade_off(result)
+    if isinstance(result, MoveSolution):
+        return draw_move(result)
     if isinstance(result, StabilityMap):
         return draw_stability_map(result)
     return None

@@ -146,6 +146,35 @@ def size(options: argparse.Namespace) -> int:
     return 0 if found.is_found else 1
 
 
+def move(options: argparse.Namespace) -> int:
+    """Find a move; return 0 if there is one, 1 if not."""
+    from ltvpneu.face.machine_file import load_machine
+    from ltvpneu.face.move import move_json, move_request, move_text
+    from ltvpneu.face.optimize import progress_bar
+
+    machine = load_machine(options.machine)
+    request = move_request(machine, options)
+    from ltvpneu import design
+
+    with progress_bar("move") as progress:
+        found = design.optimize_move(machine, **request, progress=progress)
+    if options.json:
+        print(json.dumps(move_json(found), indent=2))
+    else:
+        from ltvpneu.face.plots import plot
+
+        print(move_text(found, options.minimize))
+        results = Results(options.out)
+        response = found.response
+        results.text(
+            "move.csv", _transient_text(machine.states, np.asarray(response.time), np.asarray(response.states))
+        )
+        results.data("move", move_json(found))
+        results.picture("move", plot(found))
+        print(f"\n{results.listed()}")
+    return 0 if found.status != "infeasible" else 1
+
+
 def machines(options: argparse.Namespace) -> int:
     """List the bundled machines and valves."""
     drives = {name: parsed(*machine_text(name)) for name in bundled_machines()}

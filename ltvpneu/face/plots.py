@@ -17,7 +17,7 @@ def plot(result: object) -> "Figure":
         `Attractors` (cycles, overlaid), `Stroke`, `DataSheet` (its strokes; its `.switching` is drawn alone),
         `AmplitudeResponse` (amplitude over frequency), `OrbitMap`, `ValidityMap`, `ParameterSensitivity`,
         `design.DutyMap`, `design.ClosedLoop`, `design.DutySolution`, `design.TradeOff`, `design.PatternSolution`,
-        `design.StabilityMap`, or a time or frequency response of python-control.
+        `design.StabilityMap`, `design.MoveSolution`, or a time or frequency response of python-control.
 
     Returns
     -------

@@ -63,9 +63,7 @@ def parse_request(machine: Machine, options: Any) -> Request:
     mean: dict[str, float | tuple[float | None, float | None]] = {}
     for text in options.mean:
         name, value = _named("--mean", text, machine.states)
-        mean[name] = (
-            _range("--mean", name, value, around) if ".." in value else _quantity("--mean", name, value, around)
-        )
+        mean[name] = _range("--mean", name, value, around) if ".." in value else quantity("--mean", name, value, around)
     amplitude, maximum, minimum, named = _bounds(machine, options)
     variables: dict[str, Bounds] = {}
     for text in options.free:
@@ -103,21 +101,21 @@ def _bounds(
     for text in options.max:
         name, value = _named("--max", text, ("amplitude", "air_use", "speed", "impact_energy", *machine.states))
         if name == "amplitude":
-            amplitude["position"] = _quantity("--max", name, value, around)
+            amplitude["position"] = quantity("--max", name, value, around)
         elif name == "air_use":
             named["air_use"] = _flow("--max", name, value, isinstance(machine.gas, Liquid))
         elif name == "speed":
-            named["speed"] = (None, _quantity("--max", "velocity", value, around))
+            named["speed"] = (None, quantity("--max", "velocity", value, around))
         elif name == "impact_energy":
             named["impact_energy"] = _plain("--max", name, re.sub(r"\s*J$", "", value))
         else:
-            maximum[name] = _quantity("--max", name, value, around)
+            maximum[name] = quantity("--max", name, value, around)
     minimum = dict[str, float]()
     for text in options.min:
         name, value = _named("--min", text, ("speed", "life", *machine.states))
         if name == "speed":
             most = named.get("speed", (None, None))[1]
-            named["speed"] = (_quantity("--min", "velocity", value, around), most)
+            named["speed"] = (quantity("--min", "velocity", value, around), most)
             continue
         if name == "life":
             hours = _plain("--min", name, re.sub(r"\s*h$", "", value))
@@ -127,7 +125,7 @@ def _bounds(
                 )
             named["life"] = hours, options.life
             continue
-        minimum[name] = _quantity("--min", name, value, around)
+        minimum[name] = quantity("--min", name, value, around)
     return amplitude, maximum, minimum, named
 
 
@@ -140,10 +138,10 @@ def _choices(around: float, text: str) -> tuple[str, list[Any]]:
     if name == "pulses":
         return name, [int(part) if part.isdigit() else part for part in parts]
     if name == "bore":
-        return name, [_quantity("--choose", "position", part, around) for part in parts]
+        return name, [quantity("--choose", "position", part, around) for part in parts]
     if name == "frequency":
         return name, [_frequency([part]) for part in parts]
-    return name, [_quantity("--choose", name, part, around) for part in parts]
+    return name, [quantity("--choose", name, part, around) for part in parts]
 
 
 def _varied(around: float, text: str) -> tuple[str, Any]:
@@ -166,7 +164,7 @@ def wanted_cycle(text: str) -> tuple[FloatArray, FloatArray]:
     """
     match = re.fullmatch(r"(.+?)\+-(.+)", text.strip())
     if match is not None:
-        mean, amplitude = (_quantity("--follow", "position", part.strip()) for part in match.groups())
+        mean, amplitude = (quantity("--follow", "position", part.strip()) for part in match.groups())
         angles = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
         return angles, mean + amplitude * np.sin(angles)
     try:
@@ -227,7 +225,8 @@ def _plain(option: str, name: str, text: str) -> float:
     return float(text)
 
 
-def _quantity(option: str, name: str, text: str, ambient: float = ATMOSPHERE) -> float:
+def quantity(option: str, name: str, text: str, ambient: float = ATMOSPHERE) -> float:
+    """Return a quantity of a state or a parameter that a command line gives, with its unit, in SI units."""
     dimension = dimension_of(name)
     if name == "velocity":
         factor = 1e-3 if text.endswith("mm/s") else 1.0
@@ -273,7 +272,7 @@ def _is_number(text: str) -> bool:
 def _range(option: str, name: str, text: str, ambient: float = ATMOSPHERE) -> Any:
     low, _, high = text.partition("..")
     found = [
-        None if not part.strip() else _quantity(option, name, re.sub(r"\s*Hz$", "", part), ambient)
+        None if not part.strip() else quantity(option, name, re.sub(r"\s*Hz$", "", part), ambient)
         for part in (low, high)
     ]
     if option != "--mean" and None in found:

@@ -102,8 +102,9 @@ class Look:
                 states = way.at(times)
                 missed = self.missed(states) + np.maximum(self._broken(states), broken)
                 rank = WEIGHT * missed + (durations.sum() + times) / self.max_time
-                best = int(np.argmin(rank))
-                self.found.append(Candidate(float(rank[best]), (*order, position), np.append(durations, times[best])))
+                for best in _least(rank):
+                    last = np.append(durations, times[best])
+                    self.found.append(Candidate(float(rank[best]), (*order, position), last))
                 continue
             # Closer together at first: parts of a quick move are short.
             shares = ((np.arange(points) + 0.5) / points) ** 1.5
@@ -133,3 +134,10 @@ class Look:
             over = np.maximum(np.maximum(self.end.force[0] - force, force - self.end.force[1]), 0.0)
             total += over / float(np.max(np.abs(self._slopes * self._scales)))
         return total
+
+
+def _least(rank: FloatArray) -> list[int]:
+    """Return where ranks are least, and where the next to least of their minima is."""
+    beside = np.concatenate([[np.inf], rank, [np.inf]])
+    minima = np.flatnonzero((rank <= beside[:-2]) & (rank < beside[2:]))
+    return minima[np.argsort(rank[minima])][:2].tolist()
