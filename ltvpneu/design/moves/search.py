@@ -149,7 +149,7 @@ class MoveSearch:
             if progress is not None:
                 progress(f"moves of {n_switches} switches", number / len(orders))
             try:
-                found = self._from(order, starts)
+                found = self.best_of(order, starts)
             except (LtvpneuError, ValueError) as error:
                 reason = error
                 continue
@@ -175,7 +175,7 @@ class MoveSearch:
     def _distance(self, one: MoveSolution) -> float:
         return float(self.look.missed(one.end_state[:, None])[0])
 
-    def _from(self, order: tuple[Position, ...], starts: list[FloatArray]) -> MoveSolution:
+    def best_of(self, order: tuple[Position, ...], starts: list[FloatArray]) -> MoveSolution:
         """Go from moves of one order of positions to the best of it."""
         search = self._search(order)
         found = best_from(search, [self._setting(one) for one in starts], TOLERANCE, MOST_ITERATIONS, None)
@@ -202,7 +202,7 @@ class MoveSearch:
                 order.append(tuple(position))
                 durations.append(duration)
         try:
-            other = self._from(tuple(order), [np.array(durations)])
+            other = self.best_of(tuple(order), [np.array(durations)])
         except (LtvpneuError, ValueError):
             return one
         as_good = other.status != "infeasible" and other.objective <= one.objective + AS_GOOD * abs(one.objective)

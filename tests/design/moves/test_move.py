@@ -5,7 +5,7 @@ import math
 import cvxpy as cp
 import numpy as np
 import pytest
-from scipy.optimize import minimize, root
+from scipy.optimize import root
 
 import ltvpneu as lp
 from ltvpneu import design
@@ -81,41 +81,17 @@ def test_the_machine_itself_makes_the_move(table_1, quickest):
     assert np.asarray(quickest.response.states)[:, -1] == pytest.approx(quickest.end_state, rel=1e-9)
 
 
-def test_a_search_takes_a_twentieth_of_slsqps_simulations(table_1):
-    """From the same start; SLSQP with differences, its answer a little worse at best."""
+def test_a_search_takes_a_handful_of_simulations(table_1, quickest):
+    """From switching times that are up to 20 % off; SLSQP with differences takes fifty to a hundred, or fails."""
     search = MoveSearch(table_1, 0.02, 0.07, None, (None, None, None, None), "time", None)
     search.limit(None, None, None)
-    candidates = search.look.at_moves(2, 6, None)
-    machines = {candidate.order: [search.positions[one] for one in candidate.order] for candidate in candidates}
-    scales, counts = table_1.state_scales, []
-    for candidate in candidates:
+    random = np.random.default_rng(0)
+    for _ in range(6):
         search.n_simulations = 0
-        found = search._from(candidate.order, [candidate.durations])
-        if found.status != "optimal":
-            continue
-        own, n = search.n_simulations, 0
-
-        def end(durations, order=candidate.order):
-            nonlocal n
-            n += 1
-            return passage(machines[order], np.maximum(durations, 1e-6), search.start).end
-
-        def equations(durations):
-            return (end(durations)[:2] - [0.07, 0.0]) / scales[:2]
-
-        def inequalities(durations):
-            push = external_force(end(durations), table_1.record) / table_1.load.stiction
-            return np.array([1 - push, 1 + push])
-
-        # From beside the answer: from where our search starts, at rest, it finds none.
-        minimize(
-            lambda durations: 10 * float(np.sum(durations)), found.durations * 1.05, method="SLSQP",
-            constraints=[{"type": "eq", "fun": equations}, {"type": "ineq", "fun": inequalities}],
-            bounds=[(1e-6, 0.25)] * 3, options={"ftol": 1e-9, "maxiter": 200},
-        )  # fmt: skip
-        counts.append((own, n))
-    assert counts
-    assert min(own for own, _ in counts) <= 30
+        found = search.best_of(quickest.order, [quickest.durations * random.uniform(0.8, 1.2, 3)])
+        assert found.status == "optimal"
+        assert found.time == pytest.approx(quickest.time, rel=1e-6)
+        assert search.n_simulations <= 10
 
 
 @pytest.mark.parametrize("way", [(0.07, 0.02), (0.03, 0.05)])
