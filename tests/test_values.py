@@ -127,6 +127,7 @@ SAMPLES: dict[str, Callable[[], Any]] = {
     "StabilityMap": lambda: design.stability_map(MACHINE, [0.4, 0.5], [8.0]),
     "Step": lambda: lp.ltv_model(MACHINE, 15.0).system.steps[0],
     "StictionBand": lambda: lp.stiction_band(MACHINE.with_duty(0.7), 20.0),
+    "SwitchingSolution": lambda: design.optimize_switching(lp.ltv_model(MACHINE, 15.0).system, MACHINE.rest_state),
     "Turn": lambda: lp.PeriodMap(machine=MACHINE, frequency=8.0).turn(MACHINE.rest_state),
     "ValidityMap": lambda: lp.validity_map(MACHINE, [0.5], [8.0]),
     "ValveLimits": lambda: design.ValveLimits(opening_delay=1e-3),

@@ -8,6 +8,7 @@ from ltvpneu.design.forcing.forcing import ForcingProblem, ForcingSolution, forc
 from ltvpneu.design.moves.expressions import Move
 from ltvpneu.design.moves.optimize import optimize_move
 from ltvpneu.design.moves.solution import MoveSolution
+from ltvpneu.design.moves.switched_linear import SwitchingSolution, optimize_switching
 from ltvpneu.design.operating_box import operating_box
 from ltvpneu.design.pattern.pattern import PatternSolution, optimize_pattern
 from ltvpneu.design.position_controller import PositionController
@@ -43,6 +44,7 @@ __all__ = [
     "Sized",
     "Sizing",
     "StabilityMap",
+    "SwitchingSolution",
     "TradeOff",
     "ValveLimits",
     "air_use",
@@ -56,6 +58,7 @@ __all__ = [
     "optimize_duty",
     "optimize_move",
     "optimize_pattern",
+    "optimize_switching",
     "simulate_closed_loop",
     "size",
     "stability_map",
