@@ -124,6 +124,7 @@ SAMPLES: dict[str, Callable[[], Any]] = {
     "Sensitivity": lambda: lp.sensitivity(lp.ltv_model(MACHINE, 15.0).system),
     "Sized": lambda: design.size(0.1, 5.0, 0.5, 7e5).best,
     "Sizing": lambda: design.size(0.1, 5.0, 0.5, 7e5),
+    "Sensor": lambda: design.Sensor(noise=5e-5, quantization=1e-4, delay=2e-3),
     "StabilityMap": lambda: design.stability_map(MACHINE, [0.4, 0.5], [8.0]),
     "Step": lambda: lp.ltv_model(MACHINE, 15.0).system.steps[0],
     "StictionBand": lambda: lp.stiction_band(MACHINE.with_duty(0.7), 20.0),

@@ -2,8 +2,11 @@
 
 from ltvpneu.design.air_use import air_use, with_air_use
 from ltvpneu.design.certificate import Certificate, common_lyapunov
+from ltvpneu.design.control.closed_loop import ClosedLoop, simulate_closed_loop
+from ltvpneu.design.control.duty_model import duty_model
+from ltvpneu.design.control.laws import Measurement, Sensor
+from ltvpneu.design.control.position_controller import PositionController
 from ltvpneu.design.duty_map import DutyMap, duty_map
-from ltvpneu.design.feedback import ClosedLoop, Measurement, duty_model, simulate_closed_loop
 from ltvpneu.design.forcing.forcing import ForcingProblem, ForcingSolution, forcing_problem
 from ltvpneu.design.moves.expressions import Move
 from ltvpneu.design.moves.optimize import optimize_move
@@ -11,7 +14,6 @@ from ltvpneu.design.moves.solution import MoveSolution
 from ltvpneu.design.moves.switched_linear import SwitchingSolution, optimize_switching
 from ltvpneu.design.operating_box import operating_box
 from ltvpneu.design.pattern.pattern import PatternSolution, optimize_pattern
-from ltvpneu.design.position_controller import PositionController
 from ltvpneu.design.sizing import Sized, Sizing, size
 from ltvpneu.design.stability_map import Box, StabilityMap, stability_map
 from ltvpneu.design.switching.cycle import LinearizedCycle
@@ -41,6 +43,7 @@ __all__ = [
     "MoveSolution",
     "PatternSolution",
     "PositionController",
+    "Sensor",
     "Sized",
     "Sizing",
     "StabilityMap",

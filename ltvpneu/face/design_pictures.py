@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ltvpneu._arrays import BoolArray, FloatArray
+from ltvpneu.design.control.closed_loop import ClosedLoop
 from ltvpneu.design.duty_map import DutyMap
-from ltvpneu.design.feedback import ClosedLoop
 from ltvpneu.design.moves.solution import MoveSolution
 from ltvpneu.design.pattern.pattern import PatternSolution
 from ltvpneu.design.stability_map import StabilityMap
@@ -179,8 +179,14 @@ def draw_closed_loop(done: ClosedLoop) -> Figure:
     upper.stairs(
         1e3 * done.references, edges, baseline=None, color=PALETTE[1], linestyle="--", zorder=4, label="reference"
     )
-    lower.stairs(done.commands, edges, baseline=None, color=PALETTE[1], linestyle=":", label="asked for")
-    lower.stairs(done.duties, edges, baseline=None, color=PALETTE[0], label="made by the valve")
+    n = done.references.size
+    for valve, (asked, made) in enumerate(
+        zip(done.commands.reshape(n, -1).T, done.duties.reshape(n, -1).T, strict=True)
+    ):
+        of = "the valve" if done.commands.ndim == 1 else f"valve {valve + 1}"
+        color = PALETTE[0] if done.commands.ndim == 1 else PALETTE[valve % len(PALETTE)]
+        lower.stairs(asked, edges, baseline=None, color=PALETTE[1], linestyle=":", label=f"asked of {of}")
+        lower.stairs(made, edges, baseline=None, color=color, label=f"made by {of}")
     upper.set_ylabel("position [mm]")
     lower.set_ylabel("duty [-]")
     lower.set_xlabel("time [s]")

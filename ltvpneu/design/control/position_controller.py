@@ -41,8 +41,9 @@ from typing import final
 import numpy as np
 
 from ltvpneu._arrays import FloatArray, not_negative, positive, read_only, whole
+from ltvpneu.design.control.closed_loop import simulate_closed_loop
+from ltvpneu.design.control.laws import Measurement
 from ltvpneu.design.duty_map import DutyMap
-from ltvpneu.design.feedback import Measurement, simulate_closed_loop
 from ltvpneu.models.machine.machine import Machine
 from ltvpneu.models.nonlinear.orbits import nonlinear_orbit
 

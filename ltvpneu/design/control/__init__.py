@@ -1,0 +1,1 @@
+"""Feedback through the valves: models from period to period, controllers, and the loop closed on the machine."""
