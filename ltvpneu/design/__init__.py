@@ -6,6 +6,7 @@ from ltvpneu.design.control.closed_loop import ClosedLoop, simulate_closed_loop
 from ltvpneu.design.control.duty_model import duty_model
 from ltvpneu.design.control.laws import Measurement, Sensor
 from ltvpneu.design.control.position_controller import PositionController
+from ltvpneu.design.control.slide_controller import SlideController
 from ltvpneu.design.duty_map import DutyMap, duty_map
 from ltvpneu.design.forcing.forcing import ForcingProblem, ForcingSolution, forcing_problem
 from ltvpneu.design.moves.expressions import Move
@@ -46,6 +47,7 @@ __all__ = [
     "Sensor",
     "Sized",
     "Sizing",
+    "SlideController",
     "StabilityMap",
     "SwitchingSolution",
     "TradeOff",

@@ -158,8 +158,8 @@ def test_a_state_space_of_several_inputs_sees_them_by_name(machine):
 
     same = design.simulate_closed_loop(machine, law, 0.045, FREQUENCY, n_periods=10)
     assert done.commands == pytest.approx(same.commands, rel=1e-12)
+    wrong = ct.ss([], [], [], gains, 1 / FREQUENCY, inputs=["error", "speed", "pressure_1"])
     with pytest.raises(ValueError, match="found input 'speed', expected some of error, reference"):
-        wrong = ct.ss([], [], [], gains, 1 / FREQUENCY, inputs=["error", "speed", "pressure_1"])
         design.simulate_closed_loop(machine, wrong, 0.045, FREQUENCY, n_periods=2)
 
 
