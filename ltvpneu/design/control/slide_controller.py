@@ -78,7 +78,7 @@ class SlideController:
     bandwidth : float, optional
         w of the way to the reference [rad/s]; by default one over the period.
     zone : float
-        Error within which a piston at rest is left alone [m].
+        Error within which a piston that comes to rest is left alone, until it is off by twice that [m].
     near : float
         Error within which pushes are tried [m].
     horizon : int
@@ -116,7 +116,7 @@ class SlideController:
         bandwidth: float | None = None,
         zone: float = 1e-4,
         near: float = 3e-3,
-        horizon: int = 5,
+        horizon: int = 6,
         delay: float = 0.0,
     ) -> None:
         expect_machine(machine)
@@ -146,7 +146,7 @@ class SlideController:
             )
         self._slopes = np.array([volume.push_area for volume in machine.volume_fields])
         self._settings = integration_settings(self._prompt, ROUGH)
-        self._waited = 0
+        self._waited, self._resting = 0, False
         self._before: tuple[float, float] | None = None
         """The last reference, and its change to it [m]."""
 
@@ -156,7 +156,7 @@ class SlideController:
     def __call__(self, measured: Measurement) -> tuple[float, ...]:
         """Return the duties of the valves for the next period."""
         if measured.number == 0:
-            self._waited, self._before = 0, None
+            self._waited, self._resting, self._before = 0, False, None
         state, reference = measured.state.copy(), measured.reference
         stops = self.machine.cylinder.lower_stop, self.machine.cylinder.upper_stop
         seen = measured.position if math.isfinite(measured.position) else float(state[0])
@@ -165,7 +165,10 @@ class SlideController:
         error, rests = reference - float(state[0]), abs(float(state[1])) < AT_REST
         usual = self._push(state, goal)
         self._waited = self._waited + 1 if rests and abs(error) > self.zone else 0
-        if rests and abs(error) <= self.zone and goal[1] == 0.0:
+        # Once at rest near the goal it is left alone up to twice the zone: the last digits of a sensor start no hunt.
+        zone = (2 if self._resting else 1) * self.zone
+        self._resting = rests and abs(error) <= zone and goal[1] == 0.0
+        if self._resting:
             return tuple(self._duties(state, 0.0).tolist())
         if abs(error) > self.near or self._waited > WAITS:
             return tuple(self._duties(state, usual).tolist())
@@ -178,6 +181,8 @@ class SlideController:
         last, change = self._before if self._before is not None else (reference, 0.0)
         new = reference - last
         self._before = reference, new
+        if new != 0.0:
+            self._resting = False
         return self.frequency * (min(new, change, key=abs) if new * change > 0 else 0.0)
 
     def _push(self, state: FloatArray, goal: tuple[float, float]) -> float:
