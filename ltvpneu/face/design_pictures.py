@@ -185,7 +185,8 @@ def draw_closed_loop(done: ClosedLoop) -> Figure:
     ):
         of = "the valve" if done.commands.ndim == 1 else f"valve {valve + 1}"
         color = PALETTE[0] if done.commands.ndim == 1 else PALETTE[valve % len(PALETTE)]
-        lower.stairs(asked, edges, baseline=None, color=PALETTE[1], linestyle=":", label=f"asked of {of}")
+        told = PALETTE[1] if done.commands.ndim == 1 else "0.5"
+        lower.stairs(asked, edges, baseline=None, color=told, linestyle=":", label=f"asked of {of}")
         lower.stairs(made, edges, baseline=None, color=color, label=f"made by {of}")
     upper.set_ylabel("position [mm]")
     lower.set_ylabel("duty [-]")
