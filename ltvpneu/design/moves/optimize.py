@@ -94,13 +94,14 @@ def optimize_move(  # noqa: PLR0913 - keyword-only, each with its default
     task = MoveSearch(machine, start, end, hold, (maximum, minimum, speed, impact_energy), minimize, constraints)
     task.limit(max_time, shortest_on, shortest_off)
     most = MOST_SWITCHES if switches is None else whole("switches", switches, 0)
+    task.check(most)
     best: MoveSolution | None = None
     before: MoveSolution | None = None
     by_switches: dict[int, float] = {}
     for count in range(most + 1):
         try:
             found = task.solve(count, before, progress)
-        except (LtvpneuError, ValueError):
+        except (LtvpneuError, ValueError, IndexError):
             if best is None and count == most:
                 raise
             continue

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import cvxpy as cp
 import numpy as np
 
-from ltvpneu._arrays import FloatArray, finite, positive
+from ltvpneu._arrays import FloatArray, finite, not_negative, positive
 from ltvpneu.design.moves.ends import End, Place, end_of, push_slopes, start_state
 from ltvpneu.design.moves.expressions import Move, end_rows, figure_of
 from ltvpneu.design.moves.looking import Candidate, Look
@@ -83,8 +83,8 @@ class MoveSearch:
         """Set the longest time of a move, and the shortest ones of parts."""
         self.shortest = [
             (
-                own_on if shortest_on is None else positive("shortest_on", shortest_on, "s"),
-                own_off if shortest_off is None else positive("shortest_off", shortest_off, "s"),
+                own_on if shortest_on is None else not_negative("shortest_on", shortest_on, "s"),
+                own_off if shortest_off is None else not_negative("shortest_off", shortest_off, "s"),
             )
             for _, _, own_on, own_off in self.valves
         ]
@@ -133,6 +133,11 @@ class MoveSearch:
             span *= 4
         return TIMES_LONGER * quickest if math.isfinite(quickest) else 4 * FIRST_SPAN
 
+    def check(self, n_switches: int) -> None:
+        """Write the problem of so many switches down, so that what is wrong with it is said before any search."""
+        positions = list(self.positions)
+        self._search(tuple(positions[part % len(positions)] for part in range(n_switches + 1)))
+
     def solve(self, n_switches: int, before: MoveSolution | None, progress: Progress | None) -> MoveSolution:
         """Return the best move of so many switches."""
         candidates = self.look.at_moves(n_switches, N_STARTS, progress)
@@ -150,7 +155,8 @@ class MoveSearch:
                 progress(f"moves of {n_switches} switches", number / len(orders))
             try:
                 found = self.best_of(order, starts)
-            except (LtvpneuError, ValueError) as error:
+            except (LtvpneuError, ValueError, IndexError) as error:
+                # An index beyond the parts that there are: the objective or a constraint is of more of them.
                 reason = error
                 continue
             if best is None or self.is_better(found, best):

@@ -125,6 +125,16 @@ def test_an_objective_and_constraints_of_ones_own(table_1):
     assert "first" in found.duals
 
 
+def test_constraints_may_be_of_parts_that_shorter_moves_do_not_have(table_1):
+    found = design.optimize_move(
+        table_1, 0.02, 0.07, switches=2, constraints=lambda move: {"last": move.durations[2] >= 0.01}
+    )
+    assert found.status == "optimal"
+    assert found.durations[2] >= 0.01 - 1e-9
+    with pytest.raises(lp.NotConvexError, match="convex"):
+        design.optimize_move(table_1, 0.02, 0.07, minimize=lambda move: -cp.square(move.time))
+
+
 def test_a_stroke_into_the_stop_takes_as_long_as_the_stroke():
     machine = springless()
     stroke = lp.stroke(machine, "out")
