@@ -37,10 +37,10 @@ from ltvpneu.models.machine.openings import pieces_of
 from ltvpneu.models.machine.piston import hold_of
 from ltvpneu.models.nonlinear.integrator import OK
 from ltvpneu.models.nonlinear.method import integration_settings
-from ltvpneu.models.nonlinear.passage import positions_of
+from ltvpneu.models.nonlinear.passage import positions_of, without_delays
 from ltvpneu.models.nonlinear.periods import integrate_period
 from ltvpneu.models.nonlinear.runge_kutta import new_run
-from ltvpneu.physics.on_off_valve import OnOffValve
+from ltvpneu.physics.proportional import ProportionalValve
 
 PUSHES = (-2.0, -1.5, -1.2, -1.05, -0.85, -0.6, -0.3, 0.0, 0.3, 0.6, 0.85, 1.05, 1.2, 1.5, 2.0)
 """Pushes that are tried near the goal, over what friction holds [-]."""
@@ -127,14 +127,11 @@ class SlideController:
         self.bandwidth = self.frequency if bandwidth is None else positive("bandwidth", bandwidth, "rad/s")
         self.zone, self.near = not_negative("zone", zone, "m"), not_negative("near", near, "m")
         self.horizon, self.delay = whole("horizon", horizon), not_negative("delay", delay, "s")
+        if isinstance(machine.valve, ProportionalValve):
+            raise ValueError("machine: found a proportional valve, expected valves that switch")
         own_duties(machine)
         self.machine = machine
-        self._prompt = replace(
-            machine,
-            valve=_prompt(machine.valve),
-            more_valves=tuple(_prompt(valve) for valve in machine.more_valves),
-            switching_frequency=None,
-        )
+        self._prompt = without_delays(machine)
         n = 1 + len(machine.more_valves)
         held = positions_of(self._prompt)
         alone = [tuple(i == k for i in range(n)) for k in range(n)]
@@ -247,19 +244,3 @@ class SlideController:
 
 def _areas(held: Machine) -> FloatArray:
     return np.ascontiguousarray(held.openings.areas[0, (0, 2)])
-
-
-def _prompt(valve: object) -> OnOffValve:
-    """Return a valve without delays or travel."""
-    if not isinstance(valve, OnOffValve):
-        raise ValueError(f"machine: found {type(valve).__name__}, expected on-off valves")
-    return replace(
-        valve,
-        pulses=None,
-        start=0.0,
-        ramp=0.0,
-        opening_delay=0.0,
-        closing_delay=0.0,
-        opening_time=0.0,
-        closing_time=0.0,
-    )

@@ -1,13 +1,12 @@
 """A move as cvxpy expressions, about the present durations of its parts."""
 
-from difflib import get_close_matches
 from typing import Any, final
 
 import cvxpy as cp
 import numpy as np
 
 from ltvpneu._arrays import FloatArray
-from ltvpneu.design.switching.cycle import signal_scales
+from ltvpneu.design.switching.cycle import place_of, signal_scales
 from ltvpneu.design.switching.subproblem import FigureBlock
 from ltvpneu.models.cycles.figures import Figure
 from ltvpneu.models.machine.machine import Machine
@@ -62,7 +61,7 @@ class Move:
         return self._block("impact", "")
 
     def _block(self, kind: Any, signal: str) -> Any:
-        state = self._state(signal) if signal else 0
+        state = place_of(signal, self.machine.states) if signal else 0
         if (kind, signal) not in self._known:
             block = FigureBlock(scenario="", figures=(Figure(kind, state),), scale=self._scale(kind, signal))
             self.blocks.append(block)
@@ -75,14 +74,6 @@ class Move:
         if kind == "impact":
             return self.machine.load.mass * self._scales["velocity"] ** 2 / 2
         return self._scales[signal]
-
-    def _state(self, signal: str) -> int:
-        states = self.machine.states
-        if signal not in states:
-            near = get_close_matches(str(signal), states, 1, 0.4)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise ValueError(f"signal: found {signal!r}, expected one of {', '.join(states)}{hint}")
-        return states.index(signal)
 
 
 def figure_of(way: Passage, asked: Figure) -> float:

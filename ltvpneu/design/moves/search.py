@@ -28,7 +28,7 @@ from ltvpneu.errors import IntegrationError, LtvpneuError
 from ltvpneu.models.cycles.figures import CycleFigures, Slopes
 from ltvpneu.models.machine.dynamics import external_force
 from ltvpneu.models.machine.machine import Machine
-from ltvpneu.models.nonlinear.passage import Passage, Position, passage, positions_of
+from ltvpneu.models.nonlinear.passage import Passage, Position, passage, positions_of, without_delays
 from ltvpneu.physics.on_off_valve import OnOffValve
 
 Objective = Literal["time", "air", "impact"] | Callable[[Move], Any]
@@ -66,8 +66,7 @@ class MoveSearch:
     ) -> None:
         self.given = machine
         self.valves = [_on_off(valve) for valve in (machine.valve, *machine.more_valves)]
-        prompt = [_prompt(valve) for valve in (machine.valve, *machine.more_valves)]
-        self.machine = replace(machine, valve=prompt[0], more_valves=tuple(prompt[1:]), switching_frequency=None)
+        self.machine = without_delays(machine)
         self.positions = positions_of(self.machine)
         self.start = start_state(self.machine, self.positions, start)
         self.end: End = end_of(self.machine, end, hold)
@@ -372,22 +371,6 @@ def _on_off(valve: Any) -> tuple[float, float, float, float]:
         opening = valve.opening_delay + valve.opening_time / 2
         return opening, valve.closing_delay + valve.closing_time / 2, valve.shortest_on, valve.shortest_off
     return 0.0, 0.0, 0.0, 0.0
-
-
-def _prompt(valve: Any) -> Any:
-    """Return a valve that switches at once."""
-    if not isinstance(valve, OnOffValve):
-        return valve
-    return replace(
-        valve,
-        pulses=None,
-        start=0.0,
-        ramp=0.0,
-        opening_delay=0.0,
-        closing_delay=0.0,
-        opening_time=0.0,
-        closing_time=0.0,
-    )
 
 
 def _with_one_more(before: MoveSolution, positions: Mapping[Position, Machine]) -> list[Candidate]:

@@ -72,12 +72,7 @@ class LinearizedCycle:
         return self._block((kind, signal), [Figure(kind, state), *within], signal)
 
     def _state(self, signal: str) -> int:
-        states = self.machine.states
-        if signal not in states:
-            near = get_close_matches(str(signal), states, 1, 0.4)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise ValueError(f"signal: found {signal!r}, expected one of {', '.join(states)}{hint}")
-        return states.index(signal)
+        return place_of(signal, self.machine.states)
 
     def _block(self, key: tuple[object, ...], figures: list[Figure], signal: str) -> cp.Expression:
         if key not in self._known:
@@ -85,6 +80,21 @@ class LinearizedCycle:
             self._blocks.append(block)
             self._known[key] = block.scale * block.variable
         return self._known[key]
+
+
+def place_of(signal: str, states: tuple[str, ...]) -> int:
+    """Return the number of a state.
+
+    Raises
+    ------
+    ValueError
+        There is none of that name; the nearest is named.
+    """
+    if signal not in states:
+        near = get_close_matches(str(signal), states, 1, 0.4)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"signal: found {signal!r}, expected one of {', '.join(states)}{hint}")
+    return states.index(signal)
 
 
 def signal_scales(machine: Machine) -> dict[str, float]:

@@ -5,10 +5,10 @@ by the derivative of the later parts over the states that they start from (varia
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -23,12 +23,34 @@ from ltvpneu.models.nonlinear.mass_drawn import mass_drawn
 from ltvpneu.models.nonlinear.method import DormandPrince
 from ltvpneu.models.nonlinear.period_map import PeriodMap, Turn
 from ltvpneu.models.nonlinear.polynomial import polynomial_extremes
+from ltvpneu.physics.on_off_valve import OnOffValve
 
 Position = tuple[bool, ...]
 """Whether each valve is on, the machine's own first."""
 RTOL = 1e-9
 JUST_BEFORE = 1e-9
 """Share of a part [-]."""
+
+
+def without_delays(machine: Machine) -> Machine:
+    """Return the machine with on-off valves that switch at once, whatever times and ramps they have."""
+    prompt = [_prompt(valve) for valve in (machine.valve, *machine.more_valves)]
+    return replace(machine, valve=prompt[0], more_valves=tuple(prompt[1:]), switching_frequency=None)
+
+
+def _prompt(valve: Any) -> Any:
+    if not isinstance(valve, OnOffValve):
+        return valve
+    return replace(
+        valve,
+        pulses=None,
+        start=0.0,
+        ramp=0.0,
+        opening_delay=0.0,
+        closing_delay=0.0,
+        opening_time=0.0,
+        closing_time=0.0,
+    )
 
 
 def positions_of(machine: Machine) -> dict[Position, Machine]:
