@@ -111,7 +111,7 @@ def _figures(found: "MoveSolution") -> list[list[str]]:
     rows = [["greatest speed", f"{figures['speed']:.4g} m/s"]]
     rows.append(["drawn from the supply", f"{1e3 * air:.4g} g{normal}"])
     if math.isfinite(max(-machine.cylinder.lower_stop, machine.cylinder.upper_stop)):
-        rows.append(["impact at a stop", f"{figures['impact_energy']:.3g} J"])
+        rows.append(["impact at a stop", f"{round(figures['impact_energy'], 9) + 0.0:.3g} J"])
     rows += [
         [f"last {name.replace('_', ' ')}", pressure_shown(figures[f"end {name}"], machine.ambient_pressure)]
         for name in machine.states
