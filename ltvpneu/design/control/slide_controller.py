@@ -66,8 +66,8 @@ ROUGH = 1e-5
 class SlideController:
     """Holds and moves a piston without a spring, by the push of its chambers; the law is the module's docstring.
 
-    It sees the position as the sensor has it, and velocity and pressures as they are. A call takes a tenth of a
-    millisecond on the way, and tens of milliseconds near the goal, where it tries pushes.
+    It sees the position as the sensor has it, and velocity and pressures as they are. A call takes about a millisecond
+    on the way, and some tens of them near the goal, where it tries pushes.
 
     Parameters
     ----------
