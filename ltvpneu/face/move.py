@@ -58,6 +58,8 @@ def _upper_bounds(machine: Machine, given: list[str]) -> tuple[dict[str, float],
         name, equals, value = (part.strip() for part in text.partition("="))
         if not equals:
             raise ValueError(f"--max: found {text!r}, expected a name and a value, such as speed=0.5m/s")
+        if name in states or name in named:
+            raise ValueError(f"--max: found {name!r} twice, expected it once")
         if name == "speed":
             named["speed"] = quantity("--max", "velocity", value)
         elif name == "impact_energy":

@@ -53,6 +53,7 @@ def test_a_stroke_from_stop_to_stop(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["--to", "extended"], "--to: found 'extended', but the cylinder has no stop there"),
         (["--max", "speed"], "--max: found 'speed', expected a name and a value"),
         (["--max", "sped=1m/s"], "--max: found 'sped'"),
+        (["--max", "speed=1m/s", "--max", "speed=2m/s"], "--max: found 'speed' twice"),
         (["--max", "impact_energy=1"], "expected an energy"),
         (["--longest", "3 kg"], "--longest: found '3 kg', a mass"),
         (["--switches", "-1"], "switches: found -1"),

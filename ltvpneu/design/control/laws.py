@@ -42,7 +42,15 @@ class Measurement(Value):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Sensor(Value):
-    """What a position sensor makes of the position."""
+    """What a position sensor makes of the position.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ltvpneu import design
+    >>> round(design.Sensor(quantization=1e-4).seen(0.04567, np.random.default_rng(0)), 6)
+    0.0457
+    """
 
     noise: float = 0.0
     """Standard deviation of every number measured, normally distributed [m]."""

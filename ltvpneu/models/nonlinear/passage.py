@@ -164,7 +164,7 @@ class Passage(Value):
     def impact_energy(self) -> float:
         """The most that a stop takes of the moving mass, or would take of what still moves at the end [J]."""
         speeds = [self.end[1], *(speed for turn in self.turns for speed in self._arrivals(turn))]
-        return self.maps[0].machine.load.mass * max(speed**2 for speed in speeds) / 2
+        return float(self.maps[0].machine.load.mass * max(speed**2 for speed in speeds) / 2)
 
     def _arrivals(self, turn: Turn) -> list[float]:
         """Return the velocities that stops take away."""
